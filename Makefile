@@ -1,0 +1,48 @@
+# Type `make` for the list of targets. Each one sets up .venv first where that is still to do.
+# Another interpreter: make setup PYTHON=python3.12
+
+PYTHON ?= python3
+JOBS ?= 2
+BIN := .venv/bin
+READY := .venv/.ready
+
+.DEFAULT_GOAL := help
+.PHONY: help setup reproduce test lint format notebooks clean
+
+help:  ## this list
+	@sed -n 's/^\([a-z]*\):.*## \(.*\)/  make \1|\2/p' Makefile | column -t -s '|' 2>/dev/null \
+		|| sed -n 's/^\([a-z]*\):.*## \(.*\)/  make \1: \2/p' Makefile
+
+setup: $(READY)  ## create .venv with the exact versions of requirements.lock
+
+$(READY): requirements.lock pyproject.toml
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "occlib needs Python 3.11 or newer: make setup PYTHON=python3.11")'
+	$(PYTHON) -m venv .venv
+	$(BIN)/python -m pip install --disable-pip-version-check --quiet -r requirements.lock
+	$(BIN)/python -m pip install --disable-pip-version-check --quiet --no-deps --no-build-isolation -e .
+	@touch $@
+
+reproduce: $(READY)  ## run the notebooks that changed: figures and metrics.csv in figures/
+	$(BIN)/occlib reproduce --jobs $(JOBS)
+
+test: lint  ## lint, then all tests
+	$(BIN)/python -m pytest
+
+lint: $(READY)  ## ruff, mypy, and no outputs stored in notebooks
+	$(BIN)/ruff check
+	$(BIN)/ruff format --check
+	$(BIN)/mypy
+	$(BIN)/nbstripout --verify $(wildcard notebooks/*.ipynb)
+
+format: $(READY)  ## format the code and strip the notebooks
+	$(BIN)/ruff check --fix
+	$(BIN)/ruff format
+	$(BIN)/nbstripout $(wildcard notebooks/*.ipynb)
+
+notebooks: $(READY)  ## make the student copies, without solutions, in runs/student
+	@$(BIN)/python -c 'from occlib.experiments import student_copies; print(len(student_copies("runs/student")), "student copies in runs/student")'
+	@echo 'Open the notebooks:  $(BIN)/jupyter lab notebooks      the student copies:  $(BIN)/jupyter lab runs/student'
+
+clean:  ## remove .venv, runs and caches; figures/ stays
+	rm -rf .venv runs .mypy_cache .ruff_cache .pytest_cache .hypothesis
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -1,0 +1,208 @@
+"""The roof: ``occlib reproduce | run | evaluate | calibrate | render | data``."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from occlib import __version__
+
+
+def build_parser() -> argparse.ArgumentParser:
+    """The command line with all its sub-commands."""
+    parser = argparse.ArgumentParser(prog="occlib", description="Two views in, an occlusion-free floor map out.")
+    parser.add_argument("--version", action="version", version=f"occlib {__version__}")
+    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
+
+    def add(name: str, help_text: str, function: Any) -> argparse.ArgumentParser:
+        command = commands.add_parser(name, help=help_text, description=help_text)
+        command.set_defaults(function=function)
+        return command
+
+    p = add("reproduce", "Run the notebooks; write every figure and metric to figures/.", reproduce)
+    p.add_argument("notebooks", nargs="*", metavar="NOTEBOOK", help="number, name or path; all by default")
+    p.add_argument("-p", "--parameter", nargs=2, action="append", default=[], metavar=("NAME", "VALUE"),
+                   help="override a parameter of the notebooks (results stay in runs/)")  # fmt: skip
+    p.add_argument("--fast", action="store_true", help="smaller experiments (results stay in runs/)")
+    p.add_argument("--jobs", type=int, default=1, metavar="N", help="notebooks at the same time")
+    p.add_argument("--force", action="store_true", help="run also what did not change since the last run")
+    p.add_argument("--check", action="store_true", help="compare with the committed metrics, publish nothing")
+
+    p = add("run", "Turn a recording into objects.jsonl, a floor map and an overview.", run)
+    p.add_argument("recording", metavar="RECORDING", help="a folder with rig.yaml and frames/, or a name in data/lab")
+    p.add_argument("--out", required=True, metavar="DIR", help="where the results go")
+    p.add_argument("--cameras", nargs="+", metavar="NAME", help="views to use; all of the rig by default")
+    p.add_argument("--profile", default="recommended", metavar="NAME", help="recommended (default) or paper")
+    p.add_argument("--rule", metavar="NAME", help="fusion rule: and, or")
+    p.add_argument("--threshold", metavar="T", help="otsu, triangle, noise or grey levels")
+    p.add_argument("--frames", metavar="START:STOP:STEP", help="only these frames, as in 40:149:4")
+    p.add_argument("--maps", action="store_true", help="a map of every frame, in DIR/maps")
+
+    p = add("evaluate", "Score objects.jsonl against truth.json.", evaluate)
+    p.add_argument("objects", metavar="OBJECTS.jsonl")
+    p.add_argument("truth", metavar="TRUTH.json")
+    p.add_argument("--roi", metavar="NAME", help="count only inside this region of the truth file")
+    p.add_argument("--radius", type=float, default=0.5, metavar="M", help="matches are closer than this (0.5 m)")
+    p.add_argument("--json", action="store_true", help="print one JSON object")
+
+    p = add("calibrate", "Calibrate a camera from pictures of a checkerboard.", calibrate)
+    p.add_argument("images", nargs="+", metavar="IMAGE")
+    p.add_argument("--pattern", required=True, metavar="9x6", help="inner corners, columns x rows")
+    p.add_argument("--square", required=True, type=float, metavar="M", help="side of a square in m")
+    p.add_argument("--out", metavar="camera.yaml", help="write the calibration here")
+
+    p = add("render", "Render a scene to a recording with exact ground truth.", render)
+    p.add_argument("scene", metavar="SCENE", help="a scene.yaml, or a name in data/lab")
+    p.add_argument("--out", metavar="DIR", help="where the recording goes (default: runs/render/NAME)")
+    p.add_argument("--frames", metavar="START:STOP:STEP", help="only these frames")
+    p.add_argument("--spp", type=int, default=8, metavar="N", help="samples per pixel (8)")
+
+    p = add("data", "Fetch public recordings, with checksums.", data)
+    p.add_argument("action", choices=["fetch", "list", "verify"], help="verify: the checksums of data/lab")
+    p.add_argument("names", nargs="*", metavar="NAME", help="ufes-lab, opencv-checkerboard")
+    return parser
+
+
+def reproduce(args: argparse.Namespace) -> int:
+    from occlib import experiments
+
+    report = experiments.reproduce(
+        args.notebooks or None,
+        parameters=dict(args.parameter),
+        fast=args.fast,
+        jobs=args.jobs,
+        force=args.force,
+        check=args.check,
+    )
+    print(report)
+    return 1 if report.problems else 0
+
+
+def run(args: argparse.Namespace) -> int:
+    from tqdm import tqdm
+
+    from occlib.mapping import save_map
+    from occlib.metrics import load_truth
+    from occlib.pipeline import Pipeline, backgrounds_of, settings_for
+    from occlib.plotting import figure_png, overview
+    from occlib.recordings import open_recording, parse_frames, write_file
+
+    recording = open_recording(args.recording, args.cameras)
+    frames = parse_frames(args.frames, recording.frames) if args.frames else list(recording.frames)
+    settings = settings_for(args.profile, rule=args.rule, threshold=_threshold(args.threshold))
+    out = Path(args.out)
+    write_file(out / ".occlib", "")  # find out now, not after the work, whether the folder can be written
+    (out / ".occlib").unlink()
+    pipeline = Pipeline(recording.rig, backgrounds_of(recording), settings)
+    lines = []
+    for frame, images in tqdm(recording.images(frames), total=len(frames), unit="frame", desc=recording.path.name):
+        result = pipeline.process(images, recording.time(frame))
+        objects = [thing.to_dict() for thing in result.objects]
+        lines.append(json.dumps({"frame": frame, "time": round(result.time, 6), "objects": objects}))
+        if args.maps:
+            save_map(out / "maps" / f"{frame:06d}", result.map)
+    truth = recording.path / "truth.json"
+    known = load_truth(truth)["frames"].get(str(frames[-1]), []) if truth.is_file() else []
+    title = f"{recording.path.name}, frame {frames[-1]}, rule {settings.rule}, profile {args.profile}"
+    picture = figure_png(overview(recording.rig, images, result, title=title, truth=known))
+    save_map(out / "map", result.map)
+    write_file(out / "overview.png", picture)
+    write_file(out / "objects.jsonl", "\n".join(lines) + "\n")
+    print(f"{out}: objects.jsonl ({len(lines)} frames), map.pgm, map.yaml, overview.png")
+    return 0
+
+
+def _threshold(text: str | None) -> str | float | None:
+    try:
+        return None if text is None else float(text)
+    except ValueError:
+        return text
+
+
+def evaluate(args: argparse.Namespace) -> int:
+    from occlib.metrics import evaluate as score_objects
+    from occlib.metrics import load_objects, load_truth
+
+    score = score_objects(load_objects(args.objects), load_truth(args.truth), roi=args.roi, radius=args.radius)
+    if args.json:
+        print(json.dumps(score.to_dict()))
+    else:
+        for name, value in score.to_dict().items():
+            print(f"{name:>16}  {'-' if value is None else f'{value:.4g}' if isinstance(value, float) else value}")
+    return 0
+
+
+def calibrate(args: argparse.Namespace) -> int:
+    from occlib.calibration import calibrate_images, save_calibration
+
+    columns, _, rows = args.pattern.lower().partition("x")
+    if not (columns.isdigit() and rows.isdigit()):
+        raise ValueError(f"--pattern: expected COLUMNSxROWS inner corners such as 9x6, got {args.pattern!r}")
+    result = calibrate_images(args.images, (int(columns), int(rows)), args.square, progress=True)
+    (fx, _, cx), (_, fy, cy), _ = result.matrix
+    print(f"{result.views_used} of {len(args.images)} pictures used, rms {result.rms_px:.3f} px")
+    print(f"fx {fx:.2f}  fy {fy:.2f}  cx {cx:.2f}  cy {cy:.2f} px")
+    print("k1 {:.4f}  k2 {:.4f}  p1 {:.5f}  p2 {:.5f}  k3 {:.4f}".format(*result.distortion))
+    if args.out:
+        save_calibration(args.out, result)
+        print(f"written to {args.out}")
+    return 0
+
+
+def render(args: argparse.Namespace) -> int:
+    from occlib.recordings import parse_frames
+    from occlib.synthetic import load_scene
+    from occlib.synthetic import render as render_scene
+
+    scene = load_scene(args.scene)
+    frames = parse_frames(args.frames, range(scene.frames)) if args.frames else None
+    out = Path(args.out or Path("runs") / "render" / scene.name)
+    print(render_scene(scene, out, frames=frames, spp=args.spp))
+    return 0
+
+
+def data(args: argparse.Namespace) -> int:
+    from occlib import recordings
+
+    if args.action == "verify":
+        from occlib.synthetic import verify_manifest
+
+        problems = verify_manifest()
+        print("\n".join(problems) or "data/lab agrees with its manifest")
+        return 1 if problems else 0
+    if args.action == "list":
+        print("\n".join(f"{name}: {source.about}" for name, source in recordings.SOURCES.items()))
+        return 0
+    if not args.names:
+        raise ValueError(f"data fetch: expected a name, one of {', '.join(recordings.SOURCES)}")
+    for name in args.names:
+        print(recordings.fetch(name, progress=True))
+    return 0
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run a command; 0 on success, else a one-line error on stderr and another number."""
+    args = build_parser().parse_args(arguments)
+    try:
+        status = int(args.function(args))
+        sys.stdout.flush()
+        return status
+    except (ValueError, OSError) as error:
+        message = " ".join(str(error).split())
+        print(f"occlib {args.command}: {message}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print(f"occlib {args.command}: interrupted", file=sys.stderr)
+        return 130
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 141
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

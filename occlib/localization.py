@@ -1,0 +1,170 @@
+"""Where an object is, what shape it has, how big it really is (section 4; Fig 7, Eq 3-5)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from occlib.geometry import Camera, FloatArray, Mask, as_points
+
+
+@dataclass(frozen=True)
+class Region:
+    """A connected region of a mask: of a view's foreground, or of the floor map.
+
+    Parameters
+    ----------
+    label
+        Its number in the label image, from 1.
+    area
+        The paper's *n*: its number of px (cells).
+    centroid
+        ``(x_c, y_c)``, mean column and row in px (Eq 3, 4).
+    box
+        ``(left, top, width, height)`` of its bounding box in px.
+    """
+
+    label: int
+    area: int
+    centroid: tuple[float, float]
+    box: tuple[int, int, int, int]
+
+    @property
+    def middle(self) -> tuple[float, float]:
+        """Centre of the bounding box in px.
+
+        Half of a footprint that is missing, as behind furniture, pulls the centroid away; where both ends of the
+        object still show, the middle between them stays.
+        """
+        left, top, width, height = self.box
+        return (left + (width - 1) / 2, top + (height - 1) / 2)
+
+
+def find_regions(mask: Mask, *, min_area: float = 1, join: int = 0) -> tuple[npt.NDArray[np.int32], list[Region]]:
+    """Connected regions of a mask, 8-connected.
+
+    Parameters
+    ----------
+    mask
+        Bool (H, W).
+    min_area
+        Regions of fewer px are dropped as noise.
+    join
+        Fragments at most this many px apart are one region; the gap between them stays empty.
+
+    Returns
+    -------
+    labels
+        int32 (H, W), 0 background, then 1, 2, ... in row-major order of first appearance.
+    regions
+        One ``Region`` for each label.
+    """
+    if mask.dtype != np.bool_ or mask.ndim != 2:
+        raise ValueError(f"mask: expected bool (H, W), got {mask.dtype} {mask.shape}")
+    if join < 0:
+        raise ValueError(f"join: expected px >= 0, got {join}")
+    labels = np.zeros(mask.shape, np.int32)
+    pixels = mask.view(np.uint8)
+    left, top, width, height = cv2.boundingRect(pixels)  # most of a floor is empty: label only where something is
+    if width == 0:
+        return labels, []
+    window = np.s_[top : top + height, left : left + width]
+    count, found = cv2.connectedComponents(_bridge(pixels[window], join))
+    found[~mask[window]] = 0
+    regions: list[Region] = []
+    for value in range(1, count):
+        own = (found == value).view(np.uint8)
+        moments = cv2.moments(own, binaryImage=True)
+        area = int(moments["m00"])
+        if area < max(min_area, 1):
+            continue
+        x, y, w, h = cv2.boundingRect(own)
+        centroid = (moments["m10"] / area + left, moments["m01"] / area + top)
+        regions.append(Region(len(regions) + 1, area, centroid, (left + x, top + y, w, h)))
+        labels[window][own.view(np.bool_)] = len(regions)
+    return labels, regions
+
+
+def _bridge(pixels: npt.NDArray[np.uint8], join: int) -> npt.NDArray[np.uint8]:
+    if join == 0:
+        return pixels
+    size = join + 1  # a closing of this size bridges a gap of ``join`` px
+    padded = cv2.copyMakeBorder(pixels, size, size, size, size, cv2.BORDER_CONSTANT, value=0)
+    closed = cv2.morphologyEx(padded, cv2.MORPH_CLOSE, np.ones((size, size), np.uint8))
+    return np.ascontiguousarray(closed[size:-size, size:-size])
+
+
+def contour(mask: Mask) -> FloatArray:
+    """Outer contour of a mask's largest region, in order around it. Points (N, 2) in px."""
+    found, _ = cv2.findContours(mask.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    if not found:
+        raise ValueError("mask: expected at least one foreground px, got none")
+    return as_points(max((np.asarray(c).reshape(-1, 2) for c in found), key=len))
+
+
+def contour_polar(contour_px: npt.ArrayLike, centroid_px: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
+    """The contour as ``d = f(theta)`` about the centroid (Eq 5, Fig 7).
+
+    Eq 5 writes the angle with a plain inverse tangent, which cannot tell opposite quadrants apart; the four-quadrant one is
+    used here.
+
+    Returns
+    -------
+    theta, d
+        Angles in radians, ascending from -pi to pi (clockwise on the screen, as rows grow downwards), and distances in px.
+    """
+    offset = as_points(contour_px, name="contour_px") - np.asarray(centroid_px, dtype=np.float64)
+    theta = np.arctan2(offset[:, 1], offset[:, 0])
+    order = np.argsort(theta, kind="stable")
+    return theta[order], np.hypot(*offset.T)[order]
+
+
+@dataclass(frozen=True)
+class ScaleTable:
+    """The paper's look-up table: m2 of floor that one pixel covers, for each grid cell of the image.
+
+    Parameters
+    ----------
+    cell_px
+        Side of a grid cell in px.
+    factors
+        m2 per px, shape (rows, columns); NaN where the cell does not show the floor.
+    """
+
+    cell_px: int
+    factors: FloatArray
+
+    def lookup(self, points_px: npt.ArrayLike) -> FloatArray:
+        """Scale factor in m2 per px at raw px (N, 2); ``ValueError`` outside the image."""
+        column, row = np.floor((as_points(points_px, name="points_px") + 0.5) / self.cell_px).astype(int).T
+        rows, columns = self.factors.shape
+        if ((column < 0) | (row < 0) | (column >= columns) | (row >= rows)).any():
+            raise ValueError(f"points_px: expected px inside the table's {columns} x {rows} cells of {self.cell_px} px")
+        return self.factors[row, column]
+
+    def actual_area(self, region: Region) -> float:
+        """The paper's actual size in m2: number of px times the factor at the centroid."""
+        return float(region.area * self.lookup([region.centroid])[0])
+
+
+def scale_table(camera: Camera, *, cell_px: int = 40) -> ScaleTable:
+    """Scale factors of every grid cell, from the camera's model at the cell's centre.
+
+    The paper determines them by experiment. They hold for what lies flat on the floor: an upright object covers more px than
+    its base, and comes out too large.
+    """
+    if cell_px < 1:
+        raise ValueError(f"cell_px: expected px >= 1, got {cell_px}")
+    width, height = camera.size
+    columns, rows = -(-width // cell_px), -(-height // cell_px)
+    grid = np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), axis=-1).reshape(-1, 2)
+    centre = np.minimum((grid + 0.5) * cell_px - 0.5, np.array(camera.size) - 1.0)
+    corners = [camera.pixels_to_floor(centre + offset) for offset in ((-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5))]
+    diagonal, other = corners[2] - corners[0], corners[3] - corners[1]
+    area = np.abs(diagonal[:, 0] * other[:, 1] - diagonal[:, 1] * other[:, 0]) / 2
+    rotation, translation = camera.pose
+    depth = corners[0] @ rotation[2, :2] + translation[2]
+    return ScaleTable(cell_px, np.where(depth > 0, area, np.nan).reshape(rows, columns))

@@ -1,0 +1,425 @@
+"""Scores: detections against hand-marked or planted truth, and maps against true footprints.
+
+MODA and MODP follow Kasturi et al. (2009), "Framework for Performance Evaluation of Face, Text, and
+Vehicle Detection and Tracking in Video", IEEE TPAMI 31(2), doi:10.1109/TPAMI.2008.57, with distances on
+the floor (Chavdarova et al. 2018, WILDTRACK) in place of overlaps in the image. Conventions:
+
+* every frame of the truth counts, with or without detections; frames that the truth lacks are ignored;
+* MODA is never clamped: with many false positives it is negative;
+* a pair matches when its distance is *strictly* below the radius;
+* a score that is undefined (no truth, no match, ...) is ``None``, never NaN.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+from scipy.optimize import linear_sum_assignment
+
+from occlib.geometry import FloatArray, Floor, Mask, as_points
+
+Detections: TypeAlias = Mapping[int, Any]  # frame -> (N, 2) array in m, or a list of {"x", "y", "id"?}
+Pair: TypeAlias = tuple[int, int, float]  # index of the detection, index of the truth, distance in m
+
+
+@dataclass(frozen=True)
+class Score:
+    """How well detections agree with the truth. Ratios and metres; ``None`` where undefined.
+
+    Parameters
+    ----------
+    moda
+        Multiple Object Detection Accuracy, ``1 - (fn + fp) / truth_count``, in (-inf, 1], higher is
+        better; ``None`` without truth.
+    moda_public
+        The same as the field's public evaluator counts it: frames without a detection left out, clamped
+        at 0. Only for tables beside published numbers.
+    modp
+        Multiple Object Detection Precision, the mean of ``1 - distance / radius`` over the matches, in
+        (0, 1], higher is better.
+    precision, recall, f1
+        In [0, 1], higher is better.
+    error_mean_m, error_median_m
+        Distance between matched detection and truth in m, in [0, radius), lower is better.
+    tp, fp, fn, truth_count, frames
+        Matches, false positives, misses, true objects (``tp + fn``), frames of the truth.
+    id_switches
+        How often a true object is matched under another id than the last time; ``None`` if detections
+        or truth carry no ids.
+    """
+
+    moda: float | None
+    moda_public: float | None
+    modp: float | None
+    precision: float | None
+    recall: float | None
+    f1: float | None
+    error_mean_m: float | None
+    error_median_m: float | None
+    tp: int
+    fp: int
+    fn: int
+    truth_count: int
+    frames: int
+    id_switches: int | None
+
+    def to_dict(self) -> dict[str, float | int | None]:
+        """The scores as plain numbers and ``None``, ready for ``json.dumps``."""
+        return asdict(self)
+
+
+# --- matching --------------------------------------------------------------------------------------
+def match_points(detected_m: npt.ArrayLike, true_m: npt.ArrayLike, radius: float) -> list[Pair]:
+    """One-to-one pairs closer than ``radius``: as many as possible, then the smallest total distance.
+
+    Parameters
+    ----------
+    detected_m, true_m
+        Floor points in m, shapes (N, 2) and (M, 2).
+    radius
+        Metres; a pair at exactly this distance does not match.
+
+    Returns
+    -------
+    list of (int, int, float)
+        Index of the detection, index of the truth, distance in m; ordered by detection.
+
+    Notes
+    -----
+    The Hungarian method (`scipy.optimize.linear_sum_assignment`): a forbidden pair costs more than all
+    permitted ones together. :func:`match_points_naive` is the readable reference.
+
+    >>> match_points([[0, 0], [1, 0]], [[0.75, 0]], radius=0.5)
+    [(1, 0, 0.25)]
+    """
+    distance = _distances(detected_m, true_m)
+    forbidden = radius * (min(distance.shape) + 1)
+    rows, columns = linear_sum_assignment(np.where(distance < radius, distance, forbidden))
+    pairs = zip(rows.tolist(), columns.tolist(), strict=True)
+    return [(i, j, float(distance[i, j])) for i, j in pairs if distance[i, j] < radius]
+
+
+def match_points_naive(detected_m: npt.ArrayLike, true_m: npt.ArrayLike, radius: float) -> list[Pair]:
+    """The same as :func:`match_points` by trying every assignment; only for a handful of points.
+
+    >>> match_points_naive([[0, 0], [1, 0]], [[0.75, 0]], radius=0.5)
+    [(1, 0, 0.25)]
+    """
+    distance = _distances(detected_m, true_m)
+
+    def best(i: int, free: frozenset[int]) -> list[Pair]:
+        if i == len(distance):
+            return []
+        options = [best(i + 1, free)]
+        for j in sorted(free):
+            if distance[i, j] < radius:
+                options.append([(i, j, float(distance[i, j])), *best(i + 1, free - {j})])
+        return min(options, key=lambda pairs: (-len(pairs), sum(d for _, _, d in pairs)))
+
+    return best(0, frozenset(range(distance.shape[1])))
+
+
+def inside_polygon(points_m: npt.ArrayLike, polygon_m: npt.ArrayLike) -> Mask:
+    """Which points (N, 2) lie in a simple polygon (M, 2); a point on its boundary is inside.
+
+    >>> inside_polygon([[0.5, 0.5], [1, 0.5], [1.1, 0.5]], [[0, 0], [1, 0], [1, 1], [0, 1]])
+    array([ True,  True, False])
+    """
+    points, start = as_points(points_m)[:, None], as_points(polygon_m, name="polygon_m")[None]
+    edge, offset = np.roll(start, -1, axis=1) - start, points - start
+    side = edge[..., 0] * offset[..., 1] - edge[..., 1] * offset[..., 0]
+    upward = (offset[..., 1] >= 0) & (offset[..., 1] < edge[..., 1])
+    downward = (offset[..., 1] < 0) & (offset[..., 1] >= edge[..., 1])
+    winding = (upward & (side > 0)).sum(axis=1) - (downward & (side < 0)).sum(axis=1)
+    along = np.clip((offset * edge).sum(-1) / np.maximum((edge**2).sum(-1), 1e-300), 0, 1)
+    on_boundary = np.linalg.norm(offset - along[..., None] * edge, axis=-1).min(axis=1, initial=np.inf) < 1e-9
+    return np.asarray((winding != 0) | on_boundary)
+
+
+# --- scores ----------------------------------------------------------------------------------------
+def evaluate(detections: Detections, truth: Mapping[str, Any], *, roi: str | None = None, radius: float = 0.5) -> Score:
+    """Score detections on the floor against the truth.
+
+    Parameters
+    ----------
+    detections
+        For each frame an (N, 2) array of floor points in m, or a list of mappings with ``x`` and ``y``
+        (:func:`load_objects`). A frame that is missing has no detections.
+    truth
+        The content of ``truth.json`` (:func:`load_truth`).
+    roi
+        Name of a polygon in ``truth["roi"]``. Truth and detections outside it are dropped before
+        matching; a point on its boundary is inside.
+    radius
+        Metres; a detection and a true object match when closer than this. 0.5 m is the field's
+        convention for people.
+
+    Raises
+    ------
+    ValueError
+        Unknown ``roi``, ``radius`` not positive, malformed truth or detections.
+
+    Examples
+    --------
+    >>> truth = {"units": "m", "frames": {"0": [{"x": 0, "y": 0}], "1": [{"x": 1, "y": 0}]}}
+    >>> score = evaluate({0: [[0.1, 0.0]]}, truth)
+    >>> score.moda, score.recall, score.precision
+    (0.5, 0.5, 1.0)
+    """
+    errors: list[float] = []
+    found = expected = false = seen = seen_wrong = switches = 0
+    last_id: dict[Any, Any] = {}
+    with_ids, frames = True, 0
+    for detected, true, pairs in _matched_frames(detections, truth, roi, radius):
+        frames += 1
+        found, expected, false = found + len(pairs), expected + len(true), false + len(detected) - len(pairs)
+        errors += [distance for _, _, distance in pairs]
+        if detected:
+            seen, seen_wrong = seen + len(true), seen_wrong + len(true) + len(detected) - 2 * len(pairs)
+        with_ids = with_ids and all("id" in thing for thing in (*detected, *true))
+        for i, j, _ in pairs if with_ids else ():
+            switches += last_id.get(true[j]["id"], detected[i]["id"]) != detected[i]["id"]
+            last_id[true[j]["id"]] = detected[i]["id"]
+    missed = expected - found
+    return Score(
+        moda=1 - (missed + false) / expected if expected else None,
+        moda_public=max(0.0, 1 - seen_wrong / seen) if seen else None,
+        modp=float(np.mean(1 - np.array(errors) / radius)) if errors else None,
+        precision=_ratio(found, found + false),
+        recall=_ratio(found, expected),
+        f1=_ratio(2 * found, 2 * found + false + missed),
+        error_mean_m=float(np.mean(errors)) if errors else None,
+        error_median_m=float(np.median(errors)) if errors else None,
+        tp=found,
+        fp=false,
+        fn=missed,
+        truth_count=expected,
+        frames=frames,
+        id_switches=switches if with_ids and errors else None,
+    )
+
+
+def recall_by_hidden_fraction(
+    detections: Detections,
+    truth: Mapping[str, Any],
+    *,
+    cameras: Sequence[str] | None = None,
+    edges: Sequence[float] = (0.0, 0.25, 0.5, 0.75, 1.0),
+    roi: str | None = None,
+    radius: float = 0.5,
+) -> list[dict[str, float | int | None]]:
+    """Recall for objects grouped by how much of them their worst view hides.
+
+    The worst view is the largest ``hidden_fraction`` (in [0, 1], 0 where absent) over ``cameras``, or over
+    all cameras for ``None``. A bin holds ``low <= fraction < high``, the last one also ``high``.
+    Returns one ``{"low", "high", "count", "recall"}`` a bin; ``recall`` is ``None`` for an empty one.
+
+    >>> truth = {"frames": {"0": [{"x": 0, "y": 0, "hidden_fraction": {"left": 1.0}}]}}
+    >>> recall_by_hidden_fraction({0: [[0, 0]]}, truth, edges=(0, 0.5, 1))[1]
+    {'low': 0.5, 'high': 1.0, 'count': 1, 'recall': 1.0}
+    """
+    if len(edges) < 2 or not np.all(np.diff(edges) > 0):
+        raise ValueError(f"edges: expected two or more increasing numbers, got {tuple(edges)}")
+    count, hits = np.zeros(len(edges) - 1, int), np.zeros(len(edges) - 1, int)
+    for _, true, pairs in _matched_frames(detections, truth, roi, radius):
+        matched = {j for _, j, _ in pairs}
+        for j, thing in enumerate(true):
+            hidden: Mapping[str, float] = thing.get("hidden_fraction") or {}
+            worst = max((hidden.get(name, 0.0) for name in (hidden if cameras is None else cameras)), default=0.0)
+            if edges[0] <= worst <= edges[-1]:
+                index = min(int(np.searchsorted(edges, worst, side="right")) - 1, len(count) - 1)
+                count[index] += 1
+                hits[index] += j in matched
+    return [
+        {"low": float(low), "high": float(high), "count": int(n), "recall": _ratio(int(hit), int(n))}
+        for low, high, n, hit in zip(edges[:-1], edges[1:], count, hits, strict=True)
+    ]
+
+
+# --- maps ------------------------------------------------------------------------------------------
+def footprint_coverage(occupied: Mask, floor: Floor, footprints: Sequence[npt.ArrayLike]) -> FloatArray:
+    """Fraction of each true footprint that the map claims as occupied, in [0, 1], higher is better.
+
+    Parameters
+    ----------
+    occupied
+        bool (ny, nx).
+    floor
+        The map's floor.
+    footprints
+        Polygons (M, 2) in m.
+
+    Returns
+    -------
+    ndarray, shape (N,)
+        Only cells of the map count: a footprint with no cell centre on the map gives NaN.
+
+    >>> floor = Floor((0, 1), (0, 1), 0.5)
+    >>> footprint_coverage(np.array([[True, False], [True, False]]), floor, [[[0, 0], [1, 0], [1, 1], [0, 1]]])
+    array([0.5])
+    """
+    _check_map(occupied, floor)
+    masks = [floor.polygon_mask(footprint) for footprint in footprints]
+    return np.array([occupied[mask].mean() if mask.any() else np.nan for mask in masks], dtype=np.float64)
+
+
+def claimed_area_ratio(occupied: Mask, floor: Floor, footprints: Sequence[npt.ArrayLike]) -> float | None:
+    """Claimed area over true area (the union of the footprints): 1 is best, more is falsified occupancy.
+
+    The paper's section 5 names the excess "reduction of available workspace". ``None`` when no footprint
+    lies on the map.
+
+    >>> floor = Floor((0, 1), (0, 1), 0.5)
+    >>> claimed_area_ratio(np.ones((2, 2), bool), floor, [[[0, 0], [0.5, 0], [0.5, 1], [0, 1]]])
+    2.0
+    """
+    _check_map(occupied, floor)
+    union = np.zeros(floor.shape, dtype=bool)
+    for footprint in footprints:
+        union |= floor.polygon_mask(footprint)
+    return _ratio(int(occupied.sum()), int(union.sum()))
+
+
+# --- files -----------------------------------------------------------------------------------------
+def load_objects(path: str | Path) -> dict[int, list[dict[str, Any]]]:
+    """Read ``objects.jsonl``: for each frame its objects, each with at least finite ``x`` and ``y`` in m.
+
+    Raises ``ValueError`` with file and line number: not JSON, no ``frame`` or ``objects``, an object
+    without finite ``x`` and ``y``, or a frame that comes twice. Blank lines are skipped.
+    """
+    frames: dict[int, list[dict[str, Any]]] = {}
+    for number, line in enumerate(_read(path).splitlines(), start=1):
+        if not line.strip():
+            continue
+        where = f"{path}:{number}"
+        entry = _parse_json(line, where)
+        frame = entry.get("frame") if isinstance(entry, dict) else None
+        if not isinstance(frame, int) or isinstance(frame, bool):
+            raise ValueError(f"{where}: expected an object with an integer 'frame'")
+        if frame in frames:
+            raise ValueError(f"{where}: frame {frame} comes twice")
+        frames[frame] = _things(entry.get("objects"), f"{where}: objects")
+    return frames
+
+
+def load_truth(path: str | Path) -> dict[str, Any]:
+    """Read and check ``truth.json``; ``ValueError`` names the file, frame and field that is wrong."""
+    content = _parse_json(_read(path), str(path))
+    try:
+        _truth_frames(content)
+        for name in content.get("roi") or {}:
+            _region(content, name)
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from None
+    return dict(content)
+
+
+def _read(path: str | Path) -> bytes:
+    try:
+        return Path(path).read_bytes()
+    except OSError as error:
+        raise ValueError(f"{path}: cannot read ({error.strerror})") from None
+
+
+def _parse_json(text: bytes, where: str) -> Any:
+    try:
+        return json.loads(text.decode("utf-8-sig"))
+    except UnicodeDecodeError:
+        raise ValueError(f"{where}: not UTF-8 text") from None
+    except (ValueError, RecursionError) as error:  # ValueError: also a number of over 4300 digits
+        raise ValueError(f"{where}: not valid JSON ({str(error).splitlines()[0]})") from None
+
+
+def _things(entries: Any, where: str) -> list[dict[str, Any]]:
+    """Check that each entry is a mapping with finite ``x`` and ``y``."""
+    if not isinstance(entries, list):
+        raise ValueError(f"{where}: expected a list, got {type(entries).__name__}")
+    for index, entry in enumerate(entries):
+        if not isinstance(entry, Mapping):
+            raise ValueError(f"{where}[{index}]: expected a mapping with x and y, got {type(entry).__name__}")
+        for name in ("x", "y"):
+            value = entry.get(name)
+            if not isinstance(value, int | float) or isinstance(value, bool) or not abs(value) < 1e12:
+                raise ValueError(f"{where}[{index}].{name}: expected finite metres, got {str(value)[:40]}")
+    return entries
+
+
+def _truth_frames(truth: Any) -> dict[int, list[dict[str, Any]]]:
+    """The true objects of each frame, frames in increasing order."""
+    if not isinstance(truth, Mapping) or not isinstance(truth.get("frames"), Mapping):
+        raise ValueError("truth: expected a mapping with 'units' and 'frames'")
+    if truth.get("units", "m") != "m":
+        raise ValueError(f"truth.units: expected 'm', got {truth['units']!r}")
+    frames: dict[int, list[dict[str, Any]]] = {}
+    for key, entries in truth["frames"].items():
+        try:
+            frame = int(key)
+        except (TypeError, ValueError):
+            raise ValueError(f"truth.frames: expected whole numbers as keys, got {key!r}") from None
+        if frame in frames:
+            raise ValueError(f"truth.frames: frame {frame} comes twice")
+        frames[frame] = _things(entries, f"truth.frames.{key}")
+    return dict(sorted(frames.items()))
+
+
+def _region(truth: Mapping[str, Any], roi: str) -> FloatArray:
+    known = truth.get("roi") or {}
+    if not isinstance(known, Mapping) or roi not in known:
+        raise ValueError(f"roi: {roi!r} is not in the truth, which has {', '.join(map(str, known)) or 'none'}")
+    try:
+        polygon = as_points(known[roi], name=f"roi {roi!r}")
+    except (TypeError, ValueError):
+        polygon = np.empty((0, 2))
+    if len(polygon) < 3 or not np.isfinite(polygon).all():
+        raise ValueError(f"roi {roi!r}: expected three or more finite points [x, y]")
+    return polygon
+
+
+def _matched_frames(
+    detections: Detections, truth: Mapping[str, Any], roi: str | None, radius: float
+) -> Iterator[tuple[list[dict[str, Any]], list[dict[str, Any]], list[Pair]]]:
+    """For each frame of the truth: detections and true objects in the region, and their pairs."""
+    if not (np.isfinite(radius) and radius > 0):
+        raise ValueError(f"radius: expected metres > 0, got {radius}")
+    polygon = None if roi is None else _region(truth, roi)
+    for frame, true in _truth_frames(truth).items():
+        detected = _detected(detections.get(frame, ()), frame)
+        if polygon is not None:
+            detected, true = _keep(detected, polygon), _keep(true, polygon)
+        yield detected, true, match_points(_positions(detected), _positions(true), radius)
+
+
+def _detected(entries: Any, frame: int) -> list[dict[str, Any]]:
+    """One frame's detections as mappings, whichever way they came."""
+    where = f"detections[{frame}]"
+    if len(entries) and isinstance(entries[0], Mapping):
+        return _things(list(entries), where)
+    return _things([{"x": x, "y": y} for x, y in as_points(entries, name=where).tolist()], where)
+
+
+def _keep(things: list[dict[str, Any]], polygon: FloatArray) -> list[dict[str, Any]]:
+    inside = inside_polygon(_positions(things), polygon)
+    return [thing for thing, keep in zip(things, inside, strict=True) if keep]
+
+
+def _positions(things: list[dict[str, Any]]) -> FloatArray:
+    return as_points([[thing["x"], thing["y"]] for thing in things])
+
+
+def _distances(a: npt.ArrayLike, b: npt.ArrayLike) -> FloatArray:
+    return np.asarray(np.linalg.norm(as_points(a)[:, None] - as_points(b)[None], axis=2))
+
+
+def _ratio(part: int, whole: int) -> float | None:
+    return part / whole if whole else None
+
+
+def _check_map(occupied: Mask, floor: Floor) -> None:
+    if occupied.shape != floor.shape or occupied.dtype != bool:
+        raise ValueError(f"occupied: expected bool {floor.shape}, got {occupied.dtype} {occupied.shape}")

@@ -1,0 +1,292 @@
+"""Recordings: folders of pictures or videos in, synchronised frames out; files written whole or not at all.
+
+The layout of a recording (``rig.yaml``, ``background/``, ``frames/``, ``truth.json``) is part of the
+contract in the README.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import tempfile
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import yaml
+
+from occlib.geometry import Image, Rig
+
+IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg")
+VIDEO_SUFFIXES = (".mp4", ".avi")
+LAB = Path(__file__).resolve().parent.parent / "data" / "lab"
+DEFAULT_FPS = 10.0
+
+_UFES = "https://raw.githubusercontent.com/bielaltoe/4_camera_norm_tracker/3048155d59cb/videos/"
+_OPENCV = "https://raw.githubusercontent.com/opencv/opencv/4.x/samples/data/"
+
+
+# --- files -----------------------------------------------------------------------------------------
+def write_file(path: str | Path, content: bytes | str) -> Path:
+    """Write a file whole: under a temporary name first, then renamed over ``path``.
+
+    Raises ``ValueError`` in one line when the folder is read-only, missing or the disk is full; nothing
+    half-written is left.
+    """
+    target = Path(path)
+    temporary = None
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        handle, temporary = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.")
+        with os.fdopen(handle, "wb") as stream:
+            stream.write(content.encode() if isinstance(content, str) else content)
+        mask = os.umask(0)
+        os.umask(mask)
+        os.chmod(temporary, 0o666 & ~mask)  # mkstemp makes files that only their owner may read
+        os.replace(temporary, target)
+    except OSError as error:
+        raise ValueError(f"{target}: cannot write ({error.strerror})") from None
+    finally:
+        if temporary and os.path.exists(temporary):
+            os.unlink(temporary)
+    return target
+
+
+def read_yaml(path: str | Path) -> Any:
+    """The content of a YAML file; ``ValueError`` in one line if it cannot be read or is not YAML."""
+    try:
+        return yaml.safe_load(Path(path).read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ValueError(f"{path}: cannot read ({error.strerror})") from None
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise ValueError(f"{path}: not valid YAML ({str(error).splitlines()[0]})") from None
+
+
+def read_image(path: str | Path) -> Image:
+    """An image file as uint8 RGB, shape (H, W, 3)."""
+    try:
+        data = np.frombuffer(Path(path).read_bytes(), np.uint8)
+    except OSError as error:
+        raise ValueError(f"{path}: cannot read the image ({error.strerror})") from None
+    image = cv2.imdecode(data, cv2.IMREAD_COLOR) if len(data) else None
+    if image is None:
+        raise ValueError(f"{path}: corrupt or not an image (expected PNG or JPEG)")
+    return cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
+
+
+def encode_image(suffix: str, image: Image, *, quality: int = 92) -> bytes:
+    """A uint8 grey (H, W) or RGB (H, W, 3) image as the bytes of a .png, .jpg or .pgm file."""
+    if image.dtype != np.uint8 or image.ndim not in (2, 3) or image.size == 0:
+        raise ValueError(f"image: expected uint8 (H, W) or (H, W, 3), got {image.dtype} {image.shape}")
+    bgr = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_RGB2BGR)
+    options = [cv2.IMWRITE_JPEG_QUALITY, quality] if suffix in (".jpg", ".jpeg") else []
+    done, data = cv2.imencode(suffix, bgr, options)
+    if not done:
+        raise ValueError(f"image: cannot encode as {suffix}")
+    return bytes(data.tobytes())
+
+
+def write_image(path: str | Path, image: Image) -> Path:
+    """Write a uint8 grey or RGB image; the suffix chooses the format."""
+    return write_file(path, encode_image(Path(path).suffix, image))
+
+
+# --- recordings --------------------------------------------------------------------------------------
+@dataclass(frozen=True)
+class Recording:
+    """A recording on disk: where each camera's frames are, and which instants there are.
+
+    Parameters
+    ----------
+    path
+        The folder.
+    rig
+        Floor and cameras, in the order in which they were asked for.
+    frames
+        The number of every instant: the number in the picture's name, or the index in the video.
+    fps
+        Frames a second: of the video, or ``fps`` in ``rig.yaml``, else 10.
+    sources
+        For each camera its video, or its pictures in the order of ``frames``.
+    """
+
+    path: Path
+    rig: Rig
+    frames: tuple[int, ...]
+    fps: float
+    sources: dict[str, Path | tuple[Path, ...]]
+
+    def time(self, frame: int) -> float:
+        """Seconds since frame 0."""
+        return frame / self.fps
+
+    def images(self, frames: Sequence[int] | None = None) -> Iterator[tuple[int, dict[str, Image]]]:
+        """Yield ``(frame, {camera: uint8 RGB (H, W, 3)})`` for the frames asked for, in order."""
+        wanted = set(self.frames if frames is None else frames)
+        unknown = sorted(wanted - set(self.frames))
+        if unknown:
+            raise ValueError(
+                f"frames: {unknown[0]} is not in {self.path.name}, which has {self.frames[0]} to {self.frames[-1]}"
+            )
+        readers = {name: _reader(source, self.frames, wanted) for name, source in self.sources.items()}
+        for frame in self.frames:
+            if frame in wanted:
+                images = {name: next(reader) for name, reader in readers.items()}
+                for name, image in images.items():
+                    check_size(image, self.rig[name].size, f"{self.path.name} frame {frame} of {name}")
+                yield frame, images
+
+    def sample(self, count: int) -> dict[str, list[Image]]:
+        """At most ``count`` frames of every camera, spread evenly over the recording."""
+        index = np.unique(np.linspace(0, len(self.frames) - 1, min(count, len(self.frames))).round().astype(int))
+        pictures: dict[str, list[Image]] = {name: [] for name in self.sources}
+        for _, images in self.images([self.frames[i] for i in index]):
+            for name, image in images.items():
+                pictures[name].append(image)
+        return pictures
+
+    def background_images(self) -> dict[str, list[Image]]:
+        """The pictures of the empty floor for each camera; a camera without any is left out."""
+        found: dict[str, list[Image]] = {}
+        for name in self.sources:
+            paths = _pictures(self.path / "background" / name)
+            if paths:
+                found[name] = [read_image(path) for path in paths]
+                for path, image in zip(paths, found[name], strict=True):
+                    check_size(image, self.rig[name].size, f"{path}")
+        return found
+
+
+def check_size(image: Image, size: tuple[int, int], what: str) -> None:
+    """Raise ``ValueError`` unless the image is uint8 RGB of ``size = (width, height)``."""
+    if not isinstance(image, np.ndarray) or image.dtype != np.uint8 or image.shape != (size[1], size[0], 3):
+        came = f"{image.dtype} {image.shape}" if isinstance(image, np.ndarray) else type(image).__name__
+        raise ValueError(f"{what}: expected uint8 {(size[1], size[0], 3)}, got {came}")
+
+
+def open_recording(path: str | Path, cameras: Sequence[str] | None = None) -> Recording:
+    """Open a recording and check that its views fit together.
+
+    Parameters
+    ----------
+    path
+        The folder, or the name of one that ships in ``data/lab``.
+    cameras
+        Names to use, in this order; all those of the rig for ``None``.
+
+    Raises
+    ------
+    ValueError
+        In one line: no such folder, unreadable rig, a camera that is not in the rig or has no frames,
+        views of different length.
+    """
+    folder = Path(path)
+    if not folder.is_dir() and (LAB / folder).is_dir():
+        folder = LAB / folder
+    if not folder.is_dir():
+        known = ", ".join(sorted(p.parent.name for p in LAB.glob("*/rig.yaml")))
+        raise ValueError(f"{path}: no such recording folder (data/lab has {known})")
+    rig = Rig.load(folder / "rig.yaml").select(cameras)
+    sources: dict[str, Path | tuple[Path, ...]] = {}
+    numbers: dict[str, tuple[int, ...]] = {}
+    fps = read_yaml(folder / "rig.yaml").get("fps")
+    for name in rig.cameras:
+        pictures = _pictures(folder / "frames" / name)
+        video = next((p for s in VIDEO_SUFFIXES if (p := folder / "frames" / f"{name}{s}").is_file()), None)
+        if pictures:
+            sources[name], numbers[name] = tuple(pictures), _numbers(pictures)
+        elif video is not None:
+            count, video_fps = _video_length(video)
+            sources[name], numbers[name], fps = video, tuple(range(count)), fps or video_fps
+        else:
+            raise ValueError(f"{folder}: no frames for camera {name!r} (expected frames/{name}/*.png|jpg or .mp4|avi)")
+    first, *others = numbers
+    for other in others:
+        if numbers[other] != numbers[first]:
+            raise ValueError(
+                f"{folder}: views of different length or names: {first} has {_span(numbers[first])}, "
+                f"{other} has {_span(numbers[other])}"
+            )
+    fps = DEFAULT_FPS if fps is None else fps
+    if not isinstance(fps, int | float) or not 0 < fps < 1e6:
+        raise ValueError(f"{folder / 'rig.yaml'}: fps: expected frames a second > 0, got {fps!r}")
+    return Recording(folder, rig, numbers[first], float(fps), sources)
+
+
+def parse_frames(text: str, frames: Sequence[int]) -> list[int]:
+    """Frame numbers chosen by ``start:stop:step`` (stop excluded) or a single number.
+
+    >>> parse_frames("2:8:3", range(10))
+    [2, 5]
+    """
+    try:
+        parts = [int(part) if part else None for part in text.split(":")]
+        if len(parts) == 1 and parts[0] is not None:
+            chosen = [frame for frame in frames if frame == parts[0]]
+        else:
+            start, stop, step = (*parts, None, None)[:3]
+            wanted = range(
+                min(frames) if start is None else start, max(frames) + 1 if stop is None else stop, step or 1
+            )
+            chosen = [frame for frame in frames if frame in wanted]
+    except (ValueError, TypeError):
+        raise ValueError(f"--frames: expected START:STOP:STEP, got {text!r}") from None
+    if not chosen:
+        raise ValueError(f"--frames: {text} selects none of the frames {min(frames)} to {max(frames)}")
+    return chosen
+
+
+def _pictures(folder: Path) -> list[Path]:
+    if not folder.is_dir():
+        return []
+    return sorted(
+        (p for p in folder.iterdir() if p.suffix.lower() in IMAGE_SUFFIXES and not p.name.startswith(".")),
+        key=lambda p: (_number(p) is None, _number(p) or 0, p.name),
+    )
+
+
+def _number(path: Path) -> int | None:
+    digits = re.search(r"(\d+)$", path.stem)
+    return int(digits[1]) if digits else None
+
+
+def _numbers(pictures: Sequence[Path]) -> tuple[int, ...]:
+    """Numbers in the names where each has one of its own, else the position in the sorted list."""
+    numbers = [_number(p) for p in pictures]
+    if None in numbers or len(set(numbers)) < len(numbers):
+        return tuple(range(len(pictures)))
+    return tuple(n for n in numbers if n is not None)
+
+
+def _span(numbers: Sequence[int]) -> str:
+    return f"{len(numbers)} frames ({numbers[0]} to {numbers[-1]})" if numbers else "0 frames"
+
+
+def _video_length(path: Path) -> tuple[int, float]:
+    video = cv2.VideoCapture(str(path))
+    try:
+        count, fps = int(video.get(cv2.CAP_PROP_FRAME_COUNT)), float(video.get(cv2.CAP_PROP_FPS))
+    finally:
+        video.release()
+    if count < 1:
+        raise ValueError(f"{path}: corrupt or empty video")
+    return count, fps or DEFAULT_FPS
+
+
+def _reader(source: Path | tuple[Path, ...], frames: Sequence[int], wanted: set[int]) -> Iterator[Image]:
+    if isinstance(source, tuple):
+        yield from (read_image(p) for frame, p in zip(frames, source, strict=True) if frame in wanted)
+        return
+    video = cv2.VideoCapture(str(source))
+    try:
+        for frame in range(max(wanted, default=-1) + 1):
+            image = video.read()[1] if frame in wanted else (None if video.grab() else False)
+            if image is False or (frame in wanted and image is None):
+                raise ValueError(f"{source}: corrupt or short video, frame {frame} of {len(frames)} cannot be read")
+            if image is not None and image is not False:
+                yield cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
+    finally:
+        video.release()
