@@ -5,6 +5,7 @@ PYTHON ?= python3
 JOBS ?= 2
 BIN := .venv/bin
 READY := .venv/.ready
+NOTEBOOKS := $(wildcard notebooks/*.ipynb)
 
 .DEFAULT_GOAL := help
 .PHONY: help setup reproduce test lint format notebooks clean
@@ -32,12 +33,12 @@ lint: $(READY)  ## ruff, mypy, and no outputs stored in notebooks
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
 	$(BIN)/mypy
-	$(BIN)/nbstripout --verify $(wildcard notebooks/*.ipynb)
+	$(if $(NOTEBOOKS),$(BIN)/nbstripout --verify $(NOTEBOOKS))
 
 format: $(READY)  ## format the code and strip the notebooks
 	$(BIN)/ruff check --fix
 	$(BIN)/ruff format
-	$(BIN)/nbstripout $(wildcard notebooks/*.ipynb)
+	$(if $(NOTEBOOKS),$(BIN)/nbstripout $(NOTEBOOKS))
 
 notebooks: $(READY)  ## make the student copies, without solutions, in runs/student
 	@$(BIN)/python -c 'from occlib.experiments import student_copies; print(len(student_copies("runs/student")), "student copies in runs/student")'

@@ -123,15 +123,18 @@ def learn_background(
     smooth = np.stack([cv2.blur(candidate, (3, 3)) for candidate in candidates])
     support = np.zeros(candidates.shape[:3], np.float32)
     for i, one in enumerate(smooth):
-        for other in smooth:
-            support[i] += np.abs(one - other).max(axis=-1) <= tolerance
-    support /= len(candidates)
+        for j, other in enumerate(smooth[:i]):
+            agree = np.abs(one - other).max(axis=-1) <= tolerance
+            support[i] += agree
+            support[j] += agree
+    support = (support + 1) / len(candidates)
     best = support.argmax(axis=0)
     image = np.take_along_axis(candidates, best[None, ..., None], axis=0)[0]
     settled = support.max(axis=0) >= agreement
-    noise = float(np.median(np.abs(stack[:: max(1, len(stack) // 8)] - image)) * 1.4826)
     image = _grow(image, settled, np.where(support[..., None] > 1.5 / len(candidates), candidates, np.inf))
-    return Background(np.round(image).astype(np.uint8), noise)
+    background = np.round(image).astype(np.uint8)
+    checked = [cv2.absdiff(adjust_intensity(one, background), background) for one in stack[:: max(1, len(stack) // 8)]]
+    return Background(background, float(np.median(checked)) * 1.4826)
 
 
 def _grow(image: FloatArray, settled: Mask, candidates: FloatArray) -> FloatArray:

@@ -193,9 +193,11 @@ class Camera:
         if not len(points):
             return points
         criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 50, 1e-10)
-        ideal = cv2.undistortPoints(
-            points.reshape(-1, 1, 2), self.matrix, self.distortion, P=self.matrix, criteria=criteria
-        )
+        source = points.reshape(-1, 1, 2)
+        if hasattr(cv2, "undistortPointsIter"):  # OpenCV 4
+            ideal = cv2.undistortPointsIter(source, self.matrix, self.distortion, None, self.matrix, criteria)
+        else:
+            ideal = cv2.undistortPoints(source, self.matrix, self.distortion, P=self.matrix, criteria=criteria)
         return np.asarray(ideal, dtype=np.float64).reshape(-1, 2)
 
     def distort_points(self, points_px: npt.ArrayLike) -> FloatArray:

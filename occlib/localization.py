@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -43,8 +44,10 @@ class Region:
         return (left + (width - 1) / 2, top + (height - 1) / 2)
 
 
-def find_regions(mask: Mask, *, min_area: float = 1, join: int = 0) -> tuple[npt.NDArray[np.int32], list[Region]]:
-    """Connected regions of a mask, 8-connected.
+def find_regions(
+    mask: Mask, *, min_area: float = 1, join: int = 0, within: Sequence[Mask] = ()
+) -> tuple[npt.NDArray[np.int32], list[Region]]:
+    """Connected regions of a mask, 8-connected, or groups of nearby fragments.
 
     Parameters
     ----------
@@ -53,7 +56,10 @@ def find_regions(mask: Mask, *, min_area: float = 1, join: int = 0) -> tuple[npt
     min_area
         Regions of fewer px are dropped as noise.
     join
-        Fragments at most this many px apart are one region; the gap between them stays empty.
+        Fragments at most this many px apart form one region; the gap between them stays empty.
+    within
+        Bool (H, W) masks that contain ``mask``, such as the single views: fragments are joined only if each of these connects
+        them. Two feet belong to one body in every view; two objects side by side have floor between them in some view.
 
     Returns
     -------
@@ -62,8 +68,9 @@ def find_regions(mask: Mask, *, min_area: float = 1, join: int = 0) -> tuple[npt
     regions
         One ``Region`` for each label.
     """
-    if mask.dtype != np.bool_ or mask.ndim != 2:
-        raise ValueError(f"mask: expected bool (H, W), got {mask.dtype} {mask.shape}")
+    for name, array in [("mask", mask), *(("within", other) for other in within)]:
+        if array.dtype != np.bool_ or array.ndim != 2 or array.shape != mask.shape:
+            raise ValueError(f"{name}: expected bool {mask.shape}, got {array.dtype} {array.shape}")
     if join < 0:
         raise ValueError(f"join: expected px >= 0, got {join}")
     labels = np.zeros(mask.shape, np.int32)
@@ -72,15 +79,18 @@ def find_regions(mask: Mask, *, min_area: float = 1, join: int = 0) -> tuple[npt
     if width == 0:
         return labels, []
     window = np.s_[top : top + height, left : left + width]
-    count, found = cv2.connectedComponents(_bridge(pixels[window], join))
-    found[~mask[window]] = 0
+    count, found = cv2.connectedComponents(pixels[window])
+    if join and count > 2:
+        count, found = _joined(
+            found, count, _bridge(pixels[window], join), [_open_rim(other)[window] for other in within]
+        )
     regions: list[Region] = []
     for value in range(1, count):
         own = (found == value).view(np.uint8)
-        moments = cv2.moments(own, binaryImage=True)
-        area = int(moments["m00"])
+        area = cv2.countNonZero(own)
         if area < max(min_area, 1):
             continue
+        moments = cv2.moments(own, binaryImage=True)
         x, y, w, h = cv2.boundingRect(own)
         centroid = (moments["m10"] / area + left, moments["m01"] / area + top)
         regions.append(Region(len(regions) + 1, area, centroid, (left + x, top + y, w, h)))
@@ -88,9 +98,28 @@ def find_regions(mask: Mask, *, min_area: float = 1, join: int = 0) -> tuple[npt
     return labels, regions
 
 
+def _joined(
+    fragments: npt.NDArray[np.int32], count: int, bridged: npt.NDArray[np.uint8], within: Sequence[Mask]
+) -> tuple[int, npt.NDArray[np.int32]]:
+    """Relabel fragments: one number for those that the bridged mask and every mask of ``within`` connect."""
+    first = np.full(count, -1)
+    flat = fragments.ravel()
+    first[flat[::-1]] = np.arange(flat.size - 1, -1, -1)  # the last assignment, the first px in row-major order, stays
+    connections = [cv2.connectedComponents(bridged)[1], *within]
+    groups: dict[tuple[int, ...], int] = {}
+    renumber = [0] + [
+        groups.setdefault(tuple(int(c.flat[first[i]]) for c in connections), len(groups) + 1) for i in range(1, count)
+    ]
+    return len(groups) + 1, np.array(renumber, np.int32)[fragments]
+
+
+def _open_rim(mask: Mask) -> npt.NDArray[np.int32]:
+    """Component numbers; what leaves the map may be connected out there, so all that touches the rim is one."""
+    padded = cv2.copyMakeBorder(mask.view(np.uint8), 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=1)
+    return np.asarray(cv2.connectedComponents(padded)[1][1:-1, 1:-1])
+
+
 def _bridge(pixels: npt.NDArray[np.uint8], join: int) -> npt.NDArray[np.uint8]:
-    if join == 0:
-        return pixels
     size = join + 1  # a closing of this size bridges a gap of ``join`` px
     padded = cv2.copyMakeBorder(pixels, size, size, size, size, cv2.BORDER_CONSTANT, value=0)
     closed = cv2.morphologyEx(padded, cv2.MORPH_CLOSE, np.ones((size, size), np.uint8))
@@ -162,7 +191,9 @@ def scale_table(camera: Camera, *, cell_px: int = 40) -> ScaleTable:
     columns, rows = -(-width // cell_px), -(-height // cell_px)
     grid = np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), axis=-1).reshape(-1, 2)
     centre = np.minimum((grid + 0.5) * cell_px - 0.5, np.array(camera.size) - 1.0)
-    corners = [camera.pixels_to_floor(centre + offset) for offset in ((-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5))]
+    corners = [
+        camera.pixels_to_floor(centre + offset) for offset in ((-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5))
+    ]
     diagonal, other = corners[2] - corners[0], corners[3] - corners[1]
     area = np.abs(diagonal[:, 0] * other[:, 1] - diagonal[:, 1] * other[:, 0]) / 2
     rotation, translation = camera.pose

@@ -176,7 +176,8 @@ def default_threshold(
     ``ncc``
         ``sqrt((1 + c^2) / 2)``, where ``c`` is the ``ncc`` of the template and a flat window;
     ``sed``
-        half of the mean squared edge distance over the image, but at most ``(min(h, w) / 8)^2`` px^2.
+        half of the median squared edge distance over the image, but at most ``(min(h, w) / 8)^2`` px^2.
+        Clutter and noise are full of edges, so false matches remain there; take the first.
 
     It depends on the template, not on the best score in the image (for ``sed``: only on how crowded the
     image's edges are), so an image without the object gives no match.
@@ -545,7 +546,7 @@ def _ncc_threshold(image: Array, template: Array, mask: Mask) -> float:
 
 
 def _sed_threshold(image: Array, template: Array, mask: Mask) -> float:
-    crowded = UNEXPLAINED * float(_squared_distances(_edges(image, template, mask)[0]).mean())
+    crowded = UNEXPLAINED * float(np.median(_squared_distances(_edges(image, template, mask)[0])))
     return min(crowded, float(min(mask.shape) / 8) ** 2)
 
 

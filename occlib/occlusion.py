@@ -63,7 +63,9 @@ def fuse(evidence: Sequence[Image], rule: str = "and", *, visible: Sequence[Mask
         neutral = 0
     else:
         neutral = np.inf if views[0].dtype.kind == "f" else np.iinfo(views[0].dtype).max
-    fused = reduce(RULES[rule], [np.where(seen, v, np.array(neutral, v.dtype)) for v, seen in zip(views, visible, strict=True)])
+    fused = reduce(
+        RULES[rule], [np.where(seen, v, np.array(neutral, v.dtype)) for v, seen in zip(views, visible, strict=True)]
+    )
     return np.asarray(np.where(np.any(visible, axis=0), fused, np.zeros((), views[0].dtype)))
 
 
@@ -82,7 +84,12 @@ def truth_table() -> list[dict[str, Any]]:
 
 
 def hidden_fractions(
-    labels: npt.NDArray[np.int32], masks: Sequence[Mask], stations: Sequence[npt.ArrayLike], *, rays: int = 24, step: int = 2
+    labels: npt.NDArray[np.int32],
+    masks: Sequence[Mask],
+    stations: Sequence[npt.ArrayLike],
+    *,
+    rays: int = 24,
+    step: int = 2,
 ) -> FloatArray:
     """How much of each object's base every camera has behind another object, from the floor map alone.
 
@@ -113,7 +120,10 @@ def hidden_fractions(
     order = np.argsort(own, kind="stable")
     bounds = np.searchsorted(own[order], np.arange(1, count + 2))
     chosen = np.concatenate(
-        [order[a + np.arange(min(rays, b - a)) * (b - a) // max(1, min(rays, b - a))] for a, b in zip(bounds, bounds[1:])]
+        [
+            order[a + np.arange(min(rays, b - a)) * (b - a) // max(1, min(rays, b - a))]
+            for a, b in zip(bounds, bounds[1:])
+        ]
         or [np.empty(0, np.intp)]
     )
     if not len(chosen):
@@ -124,7 +134,10 @@ def hidden_fractions(
         line = np.asarray(station, float) - cells
         length = np.linalg.norm(line, axis=1)
         t = np.arange(step, min(length.max(), np.hypot(nx, ny)) + step, step)
-        points = cells[:, None] + line[:, None] * (np.minimum(t, length[:, None]) / np.maximum(length[:, None], 1e-9))[..., None]
+        points = (
+            cells[:, None]
+            + line[:, None] * (np.minimum(t, length[:, None]) / np.maximum(length[:, None], 1e-9))[..., None]
+        )
         x, y = np.rint(points[..., 0]).astype(np.intp), np.rint(points[..., 1]).astype(np.intp)
         on_map = (x >= 0) & (y >= 0) & (x < nx) & (y < ny)
         x, y = x.clip(0, nx - 1), y.clip(0, ny - 1)

@@ -47,7 +47,7 @@ class Settings:
     rule
         Fusion rule; see :func:`occlib.occlusion.fuse`.
     join_m
-        Fragments of evidence no further apart are one object.
+        Fragments of evidence no further apart are one object, if every view connects them.
     min_area_m2
         Less evidence is noise.
     position
@@ -203,9 +203,16 @@ class Pipeline:
         """Labels, regions and hidden fractions (n, cameras) of what is large enough and no ghost."""
         floor, how = self.rig.floor, self.settings
         labels, regions = find_regions(
-            occupied, min_area=how.min_area_m2 / floor.cell_area, join=round(how.join_m / floor.resolution)
+            occupied,
+            min_area=how.min_area_m2 / floor.cell_area,
+            join=round(how.join_m / floor.resolution),
+            within=views if how.rule == "and" else (),
         )
-        hidden = hidden_fractions(labels, views, self._stations) if len(regions) > 1 else np.zeros((len(regions), len(views)))
+        hidden = (
+            hidden_fractions(labels, views, self._stations)
+            if len(regions) > 1
+            else np.zeros((len(regions), len(views)))
+        )
         if how.remove_ghosts and len(views) > 1:
             real = hidden.min(axis=1, initial=1.0) < 0.5
             if not real.all():
@@ -217,7 +224,9 @@ class Pipeline:
     def _observe(self, region: Region, labels: Image, hidden: Any, images: Mapping[str, Image]) -> Observation:
         floor = self.rig.floor
         cell = region.centroid if self.settings.position == "centroid" else region.middle
-        x, y = (float(low + (c + 0.5) * floor.resolution) for low, c in zip((floor.x[0], floor.y[0]), cell, strict=True))
+        x, y = (
+            float(low + (c + 0.5) * floor.resolution) for low, c in zip((floor.x[0], floor.y[0]), cell, strict=True)
+        )
         names = list(self.rig.cameras)
         best = names[int(np.argmin(hidden))]
         return Observation(
@@ -243,7 +252,9 @@ class Pipeline:
         """Occupied where an object is; free where a view looks at bare floor; else unknown."""
         known = self._seen
         if not self._everywhere:
-            shaded = np.logical_and.reduce([view | ~seen for view, seen in zip(views.values(), self._visible, strict=True)])
+            shaded = np.logical_and.reduce(
+                [view | ~seen for view, seen in zip(views.values(), self._visible, strict=True)]
+            )
             known = known & ~(shaded & ~self._confirmed)
         return occupancy_map(labels > 0, known, self.rig.floor)
 

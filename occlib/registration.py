@@ -69,7 +69,11 @@ def view_homography(camera: Camera, floor: Floor) -> FloatArray:
     The result is a 3x3 homography to map cells in which the camera looks upwards (row 0 is the far side), centred
     on the floor's centre, before any rotation (Fig 10). Views from opposite walls come out turned by 180 degrees.
     """
-    return rotation_about_centre(-view_angle(camera, floor), floor) @ np.linalg.inv(floor.cell_to_floor) @ camera.image_to_floor
+    return (
+        rotation_about_centre(-view_angle(camera, floor), floor)
+        @ np.linalg.inv(floor.cell_to_floor)
+        @ camera.image_to_floor
+    )
 
 
 def view_angle(camera: Camera, floor: Floor) -> float:

@@ -557,12 +557,20 @@ def vinyl_texture(colour: Iterable[float], cells: int = 700) -> FloatArray:
     return np.asarray(tile)
 
 
+def denoise(layers: npt.NDArray[np.float32]) -> FloatArray:
+    """Linear RGB (H, W, 3) from noisy colour, albedo and normal (H, W, 9), by Open Image Denoise."""
+    import pyoidn
+
+    colour, albedo, normal = (np.ascontiguousarray(layers[..., k : k + 3]) for k in (0, 3, 6))
+    return np.asarray(pyoidn.denoise(colour, albedo=albedo, normal=normal, hdr=True), dtype=np.float64)
+
+
 class Studio:
     """The scene as Mitsuba sees it; objects move without rebuilding it."""
 
     def __init__(self, scene: Scene, *, spp: int) -> None:
         self.mi, self.scene, self.spp, self.cameras = load_mitsuba(), scene, spp, scene.rig.cameras
-        self.integrator = self.mi.load_dict({"type": "path", "max_depth": 6, "rr_depth": 100})
+        self.integrator = self.mi.load_dict({"type": "path", "max_depth": 5, "rr_depth": 100})
         self.world = self.mi.load_dict(self._description(), optimize=False)
         self.parameters = self.mi.traverse(self.world)
         self._rays: dict[str, Any] = {}
@@ -640,7 +648,7 @@ class Studio:
         parameters.update()
         return mesh
 
-    def _board(self) -> dict[str, Any]:
+    def _board(self) -> Any:
         columns, rows = BOARD_PATTERN[0] + 3, BOARD_PATTERN[1] + 3  # the squares, and a white margin of one
         i, j = np.meshgrid(np.arange(columns), np.arange(rows))
         inner = (i > 0) & (i < columns - 1) & (j > 0) & (j < rows - 1)
@@ -652,15 +660,24 @@ class Studio:
             "filter_type": "nearest",
         }
         matte = {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": texture}}
-        return {"type": "rectangle", "to_world": self._board_transform(None), "bsdf": matte}
+        properties = self.mi.Properties()
+        properties["mesh_bsdf"] = self.mi.load_dict(matte)
+        # A mesh and not Mitsuba's rectangle, whose pose is compiled into the code, again for each picture.
+        mesh = self.mi.Mesh("board", 4, 2, has_vertex_texcoords=True, props=properties)
+        parameters = self.mi.traverse(mesh)
+        parameters["vertex_positions"] = self._board_vertices(None)
+        parameters["vertex_texcoords"] = np.array([0, 0, 1, 0, 1, 1, 0, 1], np.float32)
+        parameters["faces"] = np.array([0, 1, 2, 0, 2, 3], np.uint32)
+        parameters.update()
+        return mesh
 
-    def _board_transform(self, board: Board | None) -> Any:
-        """From the square -1 to 1 to the paper in the world; under the floor for ``None``."""
-        if board is None:
-            return self.mi.ScalarTransform4f().translate([0, 0, -50])
-        half = np.array([BOARD_PATTERN[0] + 3, BOARD_PATTERN[1] + 3]) * board.square / 2
-        pose = shift(board.pose, 0.002) if board.camera is None else board.pose  # paper lies on the floor
-        return self.mi.ScalarTransform4f(pose @ np.diag([*half, 1, 1]))
+    def _board_vertices(self, board: Board | None) -> Any:
+        """The corners of the paper in the world; under the floor for ``None``."""
+        pose = np.eye(4) if board is None else board.pose
+        half = np.array([BOARD_PATTERN[0] + 3, BOARD_PATTERN[1] + 3]) * (board.square if board else 0.1) / 2
+        corners = np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) * [*half, 0]
+        up = -50.0 if board is None else 0.002 if board.camera is None else 0.0  # paper lies on the floor
+        return _world_vertices(corners, shift(pose, up))
 
     def place(self, frame: int | None, board: Board | None = None) -> None:
         """Move the objects to where they are at a frame; ``None`` empties the room."""
@@ -670,8 +687,8 @@ class Studio:
                 matrix = shift(matrix, -50.0) if frame is None else matrix
                 key = f"{thing.id}{i}.vertex_positions"
                 self.parameters[key] = _world_vertices(unit_mesh(part.shape)[0], matrix)
-        if "board.to_world" in self.parameters:
-            self.parameters["board.to_world"] = self.mi.Transform4f(self._board_transform(board))
+        if "board.vertex_positions" in self.parameters:
+            self.parameters["board.vertex_positions"] = self._board_vertices(board)
         self.parameters.update()
 
     def _directions(self, name: str) -> FloatArray:
@@ -710,40 +727,43 @@ class Studio:
 
         Only what an object can change visibly (itself, its shadow, its reflection) is traced anew.
         """
-        import pyoidn
-
         width, height = self.cameras[name].size
         if name not in self._empty:
             self.place(None)
-            self._empty[name] = self.layers(name)
-        layers = self._empty[name].copy()
+            layers = self.layers(name).reshape(height, width, 9)
+            self._empty[name] = layers, denoise(layers)
+        layers, picture = (a.copy() for a in self._empty[name])
         if board is not None or (frame is not None and self.scene.objects):
             self.place(frame, board)
             pixels = self._touched(name, frame or 0, board)
-            layers[pixels.ravel()] = self.layers(name, pixels)
-        picture = layers.reshape(height, width, 9)
-        colour, albedo, normal = (np.ascontiguousarray(picture[..., k : k + 3]) for k in (0, 3, 6))
-        return np.asarray(pyoidn.denoise(colour, albedo=albedo, normal=normal, hdr=True), dtype=np.float64)
+            layers[pixels] = self.layers(name, pixels)
+            rows, columns = np.flatnonzero(pixels.any(axis=1)), np.flatnonzero(pixels.any(axis=0))
+            if len(rows):  # denoise a window around what was traced
+                window = tuple(slice(max(0, k[0] - 16), k[-1] + 17) for k in (rows, columns))
+                # Fade into the empty room, so that the rim of a soft shadow shows no step.
+                inside = cv2.distanceTransform(pixels[window].astype(np.uint8), cv2.DIST_L2, 3)
+                weight = np.clip(inside / 12, 0, 1)[..., None]
+                picture[window] += weight * (denoise(layers[window]) - picture[window])
+        return picture
 
     def _touched(self, name: str, frame: int, board: Board | None = None) -> Mask:
-        """Pixels (H, W) that show an object or the floor within its height + 0.3 m of it, or a board."""
+        """Pixels (H, W) that show an object or the floor near it (0.7 heights + 0.2 m), or a board."""
         camera = self.cameras[name]
         width, height = camera.size
+        rays = self.scene.rays[name]
         if name not in self._floor:
-            rays = pixel_rays(camera)
             with np.errstate(divide="ignore"):
                 floor = camera.centre_m[:2] - rays[..., :2] * (camera.centre_m[2] / rays[..., 2])[..., None]
-            self._floor[name] = rays, floor
-        centre, (rays, floor) = camera.centre_m, self._floor[name]
+            self._floor[name] = floor
+        centre, floor = camera.centre_m, self._floor[name]
         pixels = np.zeros((height, width), bool)
         for thing in self.scene.objects:
             x, y, _ = thing.pose(frame)
-            radius = np.hypot(*(thing.footprint(frame) - [x, y]).T).max() + thing.height + 0.3
+            radius = np.hypot(*(thing.footprint(frame) - [x, y]).T).max() + 0.7 * thing.height + 0.2
             pixels |= (rays[..., 2] < 0) & (np.hypot(floor[..., 0] - x, floor[..., 1] - y) < radius)
-            for part, matrix in zip(thing.parts, thing.matrices(frame), strict=True):
-                hit = np.isfinite(hit_distance(part.shape, matrix, centre, rays.reshape(-1, 3)))
-                pixels |= hit.reshape(height, width)
-        spare = 13
+            depth, window = _depth(self.scene, camera, thing, frame)
+            pixels[window] |= np.isfinite(depth)
+        spare = 25
         if board is not None:
             # A little more than the board: its soft shadow falls behind it, where the camera sees little of it.
             half = np.array([BOARD_PATTERN[0] + 3, BOARD_PATTERN[1] + 3, 0.02]) * board.square
@@ -818,7 +838,7 @@ def render(
     out: str | Path,
     *,
     frames: Iterable[int] | None = None,
-    spp: int = 8,
+    spp: int = 6,
     scale: float = 1.0,
     progress: bool = True,
 ) -> Path:
@@ -901,7 +921,7 @@ def floor_marks(scene: Scene) -> dict[str, Any]:
     return {**content, "marks": marks}
 
 
-def write_manifest(lab_dir: str | Path = LAB, *, spp: int = 8) -> Path:
+def write_manifest(lab_dir: str | Path = LAB, *, spp: int = 6) -> Path:
     """Write ``manifest.json``: size and SHA-256 of every file of the lab, and how it was made."""
     lab = Path(lab_dir)
     files = {str(p.relative_to(lab).as_posix()): _fingerprint(p) for p in _lab_files(lab)}

@@ -266,9 +266,8 @@ def test_two_notebooks_may_not_make_the_same_figure(copy: Path) -> None:
         ),
         ("for", r"^02_count: cell 3 \(for\) failed: SyntaxError: invalid syntax.*; see runs"),
         ("import os\nos._exit(3)", r"^02_count: stopped: .*Kernel died"),
-        ("record('x', 1)\nrecord('x', 2)", "ValueError: record: metric 'x' was recorded before"),
     ],
-    ids=["error", "syntax", "dead", "twice"],
+    ids=["error", "syntax", "dead"],
 )
 def test_failed_cell_is_named_and_nothing_is_published(copy: Path, cell: str, message: str) -> None:
     write_notebook(copy, "02_count", cell)
@@ -282,12 +281,13 @@ def test_failed_cell_is_named_and_nothing_is_published(copy: Path, cell: str, me
 
 
 def test_what_succeeds_beside_a_failure_is_kept_but_not_published(copy: Path) -> None:
-    write_notebook(copy, "01_draw", "import time; time.sleep(1)", DRAW.format(name="fig01_new"))
+    write_notebook(copy, "01_draw", "import time; time.sleep(3)", DRAW.format(name="fig01_new"))
     write_notebook(copy, "02_count", "1 / 0")
+    write_notebook(copy, "03_later", "1 + 1")
     before = contents(copy / "figures")
     with pytest.raises(ValueError, match="02_count: cell 3"):
         run(copy, jobs=2)
-    assert (copy / "runs/01_draw/fig01_new.png").exists()
+    assert (copy / "runs/01_draw/fig01_new.png").exists() and not (copy / "runs/03_later").exists()
     assert contents(copy / "figures") == before
 
 
@@ -305,8 +305,16 @@ def test_interrupted_run_leaves_nothing(copy: Path, sign: signal.Signals) -> Non
     process.send_signal(sign)
     _, errors = process.communicate(timeout=10)
     assert process.returncode and b"KeyboardInterrupt" in errors
-    assert len(children) >= 2 and not psutil.wait_procs(children, timeout=5)[1], "a kernel lives on"
+    # At once: a kernel whose parent is gone ends by itself too, but up to a second later.
+    assert len(children) >= 2 and not any(map(_lives, psutil.wait_procs(children, timeout=0.2)[1]))
     assert contents(copy) == before
+
+
+def _lives(process: psutil.Process) -> bool:
+    try:
+        return bool(process.status() != psutil.STATUS_ZOMBIE)
+    except psutil.NoSuchProcess:
+        return False
 
 
 def _wait(condition: Callable[[], bool], seconds: float = 30) -> None:
@@ -398,6 +406,8 @@ def test_record_keeps_ten_digits_and_plain_numbers(notebook: Path) -> None:
     rows = [list(row.values()) for row in json.loads((notebook / "metrics.json").read_text())]
     expected = [["third", "0.3333333333", "m", "3.333333333e-07"], ["found", "1", "", "0"]]
     assert rows == [*expected, ["seconds", "2.5", "s", "inf"]]
+    with pytest.raises(ValueError, match="metric 'third' was recorded before"):
+        record("third", 1 / 3)
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, [1, 2], "1", None])
