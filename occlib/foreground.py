@@ -127,7 +127,7 @@ def learn_background(
             agree = np.abs(one - other).max(axis=-1) <= tolerance
             support[i] += agree
             support[j] += agree
-    support = (support + 1) / len(candidates)
+    support = ((support + 1) / len(candidates)).astype(np.float32)
     best = support.argmax(axis=0)
     image = np.take_along_axis(candidates, best[None, ..., None], axis=0)[0]
     settled = support.max(axis=0) >= agreement

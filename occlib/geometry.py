@@ -258,7 +258,7 @@ def invert_homography(homography: npt.ArrayLike, name: str = "homography") -> Fl
     if matrix.shape != (3, 3) or not np.isfinite(matrix).all() or abs(np.linalg.det(matrix)) < 1e-12:
         raise ValueError(f"{name}: expected an invertible 3x3 homography")
     inverse = np.linalg.inv(matrix)
-    return inverse / inverse[2, 2] if abs(inverse[2, 2]) > 1e-12 else inverse
+    return np.asarray(inverse / inverse[2, 2] if abs(inverse[2, 2]) > 1e-12 else inverse)
 
 
 @dataclass(frozen=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
@@ -79,7 +80,7 @@ def find_regions(
     if width == 0:
         return labels, []
     window = np.s_[top : top + height, left : left + width]
-    count, found = cv2.connectedComponents(pixels[window])
+    count, found = _components(pixels[window])
     if join and count > 2:
         count, found = _joined(
             found, count, _bridge(pixels[window], join), [_open_rim(other)[window] for other in within]
@@ -98,14 +99,22 @@ def find_regions(
     return labels, regions
 
 
+def _components(pixels: npt.NDArray[Any]) -> tuple[int, npt.NDArray[np.int32]]:
+    count, labels = cv2.connectedComponents(pixels)
+    return count, np.asarray(labels, dtype=np.int32)
+
+
 def _joined(
-    fragments: npt.NDArray[np.int32], count: int, bridged: npt.NDArray[np.uint8], within: Sequence[Mask]
+    fragments: npt.NDArray[np.int32],
+    count: int,
+    bridged: npt.NDArray[np.uint8],
+    within: Sequence[npt.NDArray[np.int32]],
 ) -> tuple[int, npt.NDArray[np.int32]]:
     """Relabel fragments: one number for those that the bridged mask and every mask of ``within`` connect."""
     first = np.full(count, -1)
     flat = fragments.ravel()
     first[flat[::-1]] = np.arange(flat.size - 1, -1, -1)  # the last assignment, the first px in row-major order, stays
-    connections = [cv2.connectedComponents(bridged)[1], *within]
+    connections = [_components(bridged)[1], *within]
     groups: dict[tuple[int, ...], int] = {}
     renumber = [0] + [
         groups.setdefault(tuple(int(c.flat[first[i]]) for c in connections), len(groups) + 1) for i in range(1, count)
@@ -116,7 +125,7 @@ def _joined(
 def _open_rim(mask: Mask) -> npt.NDArray[np.int32]:
     """Component numbers; what leaves the map may be connected out there, so all that touches the rim is one."""
     padded = cv2.copyMakeBorder(mask.view(np.uint8), 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=1)
-    return np.asarray(cv2.connectedComponents(padded)[1][1:-1, 1:-1])
+    return _components(padded)[1][1:-1, 1:-1]
 
 
 def _bridge(pixels: npt.NDArray[np.uint8], join: int) -> npt.NDArray[np.uint8]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import reduce
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -120,10 +121,7 @@ def hidden_fractions(
     order = np.argsort(own, kind="stable")
     bounds = np.searchsorted(own[order], np.arange(1, count + 2))
     chosen = np.concatenate(
-        [
-            order[a + np.arange(min(rays, b - a)) * (b - a) // max(1, min(rays, b - a))]
-            for a, b in zip(bounds, bounds[1:])
-        ]
+        [order[a + np.arange(min(rays, b - a)) * (b - a) // max(1, min(rays, b - a))] for a, b in pairwise(bounds)]
         or [np.empty(0, np.intp)]
     )
     if not len(chosen):

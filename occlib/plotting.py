@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Mapping, Sequence
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -111,7 +112,7 @@ def outline_on_image(ax: Axes, camera: Camera, outline_m: npt.ArrayLike, **optio
     corners = np.asarray(outline_m, dtype=float)
     corners = np.vstack([corners, corners[:1]])
     steps = np.linspace(0, 1, 9)[:-1, None]  # straight on the floor is bent by the lens
-    path = np.vstack([a + steps * (b - a) for a, b in zip(corners[:-1], corners[1:], strict=True)] + [corners[-1:]])
+    path = np.vstack([a + steps * (b - a) for a, b in pairwise(corners)] + [corners[-1:]])
     pixels = camera.floor_to_pixels(path)
     pixels[~camera.inside(pixels)] = np.nan
     ax.plot(*pixels.T, **{"linewidth": 1.2, **options})

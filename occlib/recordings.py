@@ -22,11 +22,9 @@ from occlib.geometry import Image, Rig
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg")
 VIDEO_SUFFIXES = (".mp4", ".avi")
-LAB = Path(__file__).resolve().parent.parent / "data" / "lab"
+DATA = Path(__file__).resolve().parent.parent / "data"
+LAB = DATA / "lab"
 DEFAULT_FPS = 10.0
-
-_UFES = "https://raw.githubusercontent.com/bielaltoe/4_camera_norm_tracker/3048155d59cb/videos/"
-_OPENCV = "https://raw.githubusercontent.com/opencv/opencv/4.x/samples/data/"
 
 
 # --- files -----------------------------------------------------------------------------------------
@@ -173,7 +171,7 @@ def open_recording(path: str | Path, cameras: Sequence[str] | None = None) -> Re
     Parameters
     ----------
     path
-        The folder, or the name of one that ships in ``data/lab``.
+        The folder, or the name of one that ships in ``data/lab`` or was fetched.
     cameras
         Names to use, in this order; all those of the rig for ``None``.
 
@@ -183,10 +181,8 @@ def open_recording(path: str | Path, cameras: Sequence[str] | None = None) -> Re
         In one line: no such folder, unreadable rig, a camera that is not in the rig or has no frames,
         views of different length.
     """
-    folder = Path(path)
-    if not folder.is_dir() and (LAB / folder).is_dir():
-        folder = LAB / folder
-    if not folder.is_dir():
+    folder = next((p for p in (Path(path), LAB / path, cache_folder() / path) if p.is_dir()), None)
+    if folder is None:
         known = ", ".join(sorted(p.parent.name for p in LAB.glob("*/rig.yaml")))
         raise ValueError(f"{path}: no such recording folder (data/lab has {known})")
     rig = Rig.load(folder / "rig.yaml").select(cameras)
@@ -283,10 +279,58 @@ def _reader(source: Path | tuple[Path, ...], frames: Sequence[int], wanted: set[
     video = cv2.VideoCapture(str(source))
     try:
         for frame in range(max(wanted, default=-1) + 1):
-            image = video.read()[1] if frame in wanted else (None if video.grab() else False)
-            if image is False or (frame in wanted and image is None):
+            read = video.grab()  # decoding is the slow part, and only what is wanted needs it
+            image = video.retrieve()[1] if read and frame in wanted else None
+            if not read or (frame in wanted and image is None):
                 raise ValueError(f"{source}: corrupt or short video, frame {frame} of {len(frames)} cannot be read")
-            if image is not None and image is not False:
+            if image is not None:
                 yield cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
     finally:
         video.release()
+
+
+# --- public data -------------------------------------------------------------------------------------
+def cache_folder() -> Path:
+    """Where fetched recordings are kept: ``OCCLIB_CACHE``, or the user's cache folder."""
+    import pooch
+
+    return Path(os.environ.get("OCCLIB_CACHE") or pooch.os_cache("occlib"))
+
+
+def sources(path: str | Path = DATA / "sources.yaml") -> dict[str, Any]:
+    """The public recordings by name: ``about``, ``url`` and ``files`` with their checksums."""
+    return dict(read_yaml(path))
+
+
+def fetch(name: str, *, catalogue: str | Path = DATA / "sources.yaml", progress: bool = False) -> Path:
+    """Download a public recording to the cache, unless it is there, and check every file's SHA-256.
+
+    Calibration and truth that were made for a recording (``data/NAME``) are put beside its frames.
+
+    Returns
+    -------
+    The recording's folder.
+
+    Raises
+    ------
+    ValueError
+        In one line: unknown name, no network, or a file whose checksum is wrong (it is not kept).
+    """
+    import pooch
+    from tqdm import tqdm
+
+    known = sources(catalogue)
+    if name not in known:
+        raise ValueError(f"{name}: not a public recording; there are {', '.join(known)}")
+    source, folder = known[name], cache_folder() / name
+    pooch.get_logger().setLevel("ERROR")
+    for target, file in tqdm(source["files"].items(), desc=name, unit="file", disable=not progress):
+        try:
+            pooch.retrieve(
+                source["url"] + file["name"], "sha256:" + file["sha256"], Path(target).name, (folder / target).parent
+            )
+        except (OSError, ValueError) as error:
+            raise ValueError(f"{name}: cannot fetch {target} ({error})") from None
+    for extra in sorted((DATA / name).glob("*")):
+        write_file(folder / extra.name, extra.read_bytes())
+    return folder

@@ -327,8 +327,8 @@ def _board(fields: Any, index: int, rig: Rig) -> Board:
 def floor_board(scene: Scene) -> Board | None:
     """The board that lies on the floor, if the scene has one.
 
-    ``origin`` is the floor position of the first inner corner, the one beside the black corner square;
-    ``angle_deg`` the direction of the rows of 9.
+    ``origin`` is the floor position of the first inner corner. The rows of nine start on the side with two
+    black corner squares and run along ``angle_deg``; the next row lies to the left, seen from above.
     """
     if scene.floor_board is None:
         return None
@@ -696,7 +696,8 @@ class Studio:
         if name not in self._rays:
             # R2 low-discrepancy offsets: the same sub-pixel pattern in each pixel is a box filter.
             steps = np.outer(np.arange(1, self.spp + 1), [0.7548776662466927, 0.5698402909980532])
-            offsets = (0.5 + steps) % 1 - 0.5
+            offsets = steps % 1
+            offsets -= offsets.mean(axis=0)  # or the whole picture shifts by a fraction of a pixel
             rays = np.stack([pixel_rays(self.cameras[name], tuple(o)) for o in offsets], axis=2)
             rays /= np.linalg.norm(rays, axis=3, keepdims=True)
             self._rays[name] = rays.reshape(-1, self.spp, 3).astype(np.float32)
