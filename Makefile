@@ -8,7 +8,7 @@ READY := .venv/.ready
 NOTEBOOKS := $(wildcard notebooks/*.ipynb)
 
 .DEFAULT_GOAL := help
-.PHONY: help setup reproduce test lint format notebooks clean
+.PHONY: help setup reproduce test lint format bench notebooks clean
 
 help:  ## this list
 	@sed -n 's/^\([a-z]*\):.*## \(.*\)/  make \1|\2/p' Makefile | column -t -s '|' 2>/dev/null \
@@ -40,8 +40,11 @@ format: $(READY)  ## format the code and strip the notebooks
 	$(BIN)/ruff format
 	$(if $(NOTEBOOKS),$(BIN)/nbstripout $(NOTEBOOKS))
 
+bench: $(READY)  ## cost of the pipeline as a ratio to bare OpenCV
+	$(BIN)/python tests/bench_pipeline.py
+
 notebooks: $(READY)  ## make the student copies, without solutions, in runs/student
-	@$(BIN)/python -c 'from occlib.experiments import student_copies; print(len(student_copies("runs/student")), "student copies in runs/student")'
+	@$(BIN)/python -c 'from occlib.notebooks import student_copies; print(len(student_copies("runs/student")), "student copies in runs/student")'
 	@echo 'Open the notebooks:  $(BIN)/jupyter lab notebooks      the student copies:  $(BIN)/jupyter lab runs/student'
 
 clean:  ## remove .venv, runs and caches; figures/ stays

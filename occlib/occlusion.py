@@ -116,7 +116,7 @@ def hidden_fractions(
     """
     count = int(labels.max(initial=0))
     fractions = np.zeros((count, len(masks)))
-    iy, ix = np.nonzero(labels)
+    iy, ix = np.divmod(np.flatnonzero(labels > 0), labels.shape[1])
     own = labels[iy, ix]
     order = np.argsort(own, kind="stable")
     bounds = np.searchsorted(own[order], np.arange(1, count + 2))

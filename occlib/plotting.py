@@ -17,7 +17,7 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
 
-from occlib.geometry import Camera, Floor, Image, Mask, Rig
+from occlib.geometry import Camera, FloatArray, Floor, Image, Mask, Rig
 
 if TYPE_CHECKING:
     from occlib.mapping import OccupancyMap
@@ -107,6 +107,16 @@ def show_footprints(ax: Axes, truth: Sequence[Mapping[str, Any]]) -> None:
         ax.legend(loc="upper right", fontsize=7)
 
 
+def fill_hull(ax: Axes, points: npt.ArrayLike, **options: Any) -> FloatArray:
+    """Fill the convex hull of points (N, 2) and return its corners (M, 2): a convex solid's outline or shadow."""
+    from scipy.spatial import ConvexHull
+
+    corners = np.asarray(points, dtype=float)
+    corners = corners[ConvexHull(corners).vertices]
+    ax.fill(*corners.T, **{"edgecolor": "black", "linewidth": 0.8, **options})
+    return corners
+
+
 def outline_on_image(ax: Axes, camera: Camera, outline_m: npt.ArrayLike, **options: Any) -> None:
     """A closed floor polygon (M, 2) in m, drawn where the camera sees it."""
     corners = np.asarray(outline_m, dtype=float)
@@ -116,6 +126,223 @@ def outline_on_image(ax: Axes, camera: Camera, outline_m: npt.ArrayLike, **optio
     pixels = camera.floor_to_pixels(path)
     pixels[~camera.inside(pixels)] = np.nan
     ax.plot(*pixels.T, **{"linewidth": 1.2, **options})
+
+
+def lamps_and_shadows(
+    ax: Axes,
+    lamps: Mapping[str, tuple[float, float]],
+    things: Mapping[str, tuple[float, float, float]],
+    reach: tuple[float, float],
+) -> None:
+    """Cameras as lamps, in section: upright things, the shadow each lamp casts behind them, and the umbra of all.
+
+    Parameters
+    ----------
+    ax
+        Where to draw; x along the floor and height, both in m.
+    lamps
+        Position ``(x, z)`` of each camera in m.
+    things
+        For each thing ``(x_min, x_max, height)`` in m; the first one is drawn with its rays.
+    reach
+        Floor ``(x_min, x_max)`` in m.
+    """
+    colours = camera_colours(list(lamps))
+    cells = np.linspace(*reach, 2001)
+    umbra = np.ones(cells.shape, bool)
+    ax.plot(reach, (0, 0), color="0.3", linewidth=1)
+    for row, (name, (x, z)) in enumerate(lamps.items()):
+        shadow = np.zeros(cells.shape, bool)
+        for i, (low, high, height) in enumerate(things.values()):
+            ends = [x + (corner - x) * scale for corner in (low, high) for scale in (1.0, z / (z - height))]
+            shadow |= (cells >= min(ends)) & (cells <= max(ends))
+            if i == 0:
+                far = max(ends, key=lambda end: abs(end - x))
+                ax.fill([x, far, high if far > x else low], [z, 0, 0], color=colours[name], alpha=0.13, linewidth=0)
+                ax.plot([x, far], [z, 0], color=colours[name], linewidth=1)
+        ax.plot(x, z, "o", color=colours[name], markersize=11)
+        ax.annotate(f"{name} camera", (x, z), xytext=(0, 11), textcoords="offset points", ha="center",
+                    color=colours[name])  # fmt: skip
+        _strip(ax, cells, shadow, row, f"{name} says occupied", colours[name])
+        umbra &= shadow
+    _strip(ax, cells, umbra, len(lamps), "both say occupied", "0.1")
+    for name, (low, high, height) in things.items():
+        ax.fill([low, high, high, low], [0, 0, height, height], color="0.35")
+        ax.annotate(name, ((low + high) / 2, height), xytext=(0, 4), textcoords="offset points", ha="center")
+    ax.set(xlabel="x (m)", ylabel="height (m)", aspect="equal", yticks=[0, 1, 2])
+    ax.spines[["top", "right"]].set_visible(False)
+
+
+def _strip(ax: Axes, x: npt.NDArray[Any], on: Mask, row: int, label: str, colour: str) -> None:
+    top = -0.18 - 0.24 * row
+    ax.fill_between(x, top - 0.15, top, where=on, color=colour, linewidth=0)
+    ax.plot(x[[0, -1]], [top - 0.15, top - 0.15], color="0.8", linewidth=0.8)
+    ax.annotate(label, (x[-1], top - 0.15), xytext=(6, 1), textcoords="offset points", color=colour, fontsize=9)
+
+
+def views_and_map(
+    rig: Rig,
+    images: Mapping[str, Image],
+    result: FrameResult,
+    truth: Sequence[Mapping[str, Any]],
+    *,
+    crops: Mapping[str, tuple[int, int, int, int]],
+    window_m: tuple[float, float, float, float],
+) -> Figure:
+    """The views of an instant side by side, hidden objects outlined, and the one map made from them.
+
+    Parameters
+    ----------
+    rig, images, result
+        What the pipeline was given, and its answer.
+    truth
+        The true objects of this frame (``truth.json``), with footprints and hidden fractions.
+    crops
+        For each camera ``(left, right, top, bottom)`` in px: the part of the view that is shown.
+    window_m
+        ``(x_min, x_max, y_min, y_max)`` of the floor that is shown.
+    """
+    names = list(rig.cameras)
+    colours = camera_colours(names)
+    fig, axes = new_figure(columns=len(names) + 1, width=4.0 * (len(names) + 1), height=4.3)
+    for ax, name in zip(axes, names, strict=False):
+        show_image(ax, images[name])
+        hidden = [thing for thing in truth if thing["hidden_fraction"].get(name, 0) > 0.9]
+        for thing in truth:
+            gone = thing in hidden
+            if gone:
+                outline_on_image(ax, rig[name], thing["footprint"], color="white", linestyle="--", linewidth=2)
+            pixel = rig[name].floor_to_pixels([[thing["x"], thing["y"]]])[0]
+            text, offset = (f"{thing['label']}: hidden here", (0, 62)) if gone else (thing["label"], (70, -22))
+            ax.annotate(text, pixel, xytext=offset, textcoords="offset points", color="0.1", fontsize=15,
+                        va="center", ha="center", bbox={"boxstyle": "round", "facecolor": "white", "edgecolor": "0.6"},
+                        arrowprops={"arrowstyle": "-", "color": "white" if gone else "0.2", "linewidth": 1.5})  # fmt: skip
+        left, right, top, bottom = crops[name]
+        ax.set(xlim=(left, right), ylim=(bottom, top))
+        count = f"{len(truth) - len(hidden)} of {len(truth)} objects"
+        ax.set_title(f"{name} view: {count}", color=colours[name], fontsize=17)
+        for spine in ax.spines.values():
+            spine.set(color=colours[name], linewidth=3)
+    _umbra_map(axes[-1], rig, result, truth, window_m)
+    return fig
+
+
+def _umbra_map(ax: Axes, rig: Rig, result: FrameResult, truth: Any, window_m: tuple[float, ...]) -> None:
+    """The map over the pale shadows of the single views, with an arrow from each camera's side."""
+    colours = camera_colours(list(rig.cameras))
+    canvas = np.ones((*rig.floor.shape, 3))
+    for name, view in result.views.items():
+        canvas[view] *= 0.6 + 0.4 * np.array(to_rgb(colours[name]))
+    canvas[result.map.data == 100] = 0.15
+    show_floor(ax, canvas, rig.floor)
+    ax.set_title(f"map from both: {len(result.objects)} objects", fontsize=17)
+    for thing in truth:
+        ax.plot(*np.vstack([thing["footprint"], thing["footprint"][:1]]).T, color="#F0E442", linewidth=2)
+        top = max(y for _, y in thing["footprint"])
+        ax.annotate(thing["label"], (thing["x"], top), xytext=(0, 8), textcoords="offset points", ha="center",
+                    fontsize=14)  # fmt: skip
+    ax.plot([], [], color="#F0E442", linewidth=2, label="true footprint")
+    low, high = window_m[:2]
+    for name, camera in rig.cameras.items():
+        west = camera.centre_m[0] < (low + high) / 2
+        text = f" \u25b6 {name} camera" if west else f"{name} camera \u25c0 "
+        ax.text(low if west else high, window_m[2] + 0.06, text, color=colours[name], fontsize=13,
+                ha="left" if west else "right")  # fmt: skip
+    ax.legend(loc="upper right", fontsize=11, facecolor="0.75", framealpha=0.9)
+    ax.set(xlim=window_m[:2], ylim=window_m[2:])
+    ax.tick_params(labelsize=11)
+
+
+def view_border_m(camera: Camera, room: npt.ArrayLike, *, steps: int = 24) -> npt.NDArray[np.float64]:
+    """Where the border of a camera's picture meets the floor, walls or ceiling of a room, (4 * steps, 3) in m.
+
+    Parameters
+    ----------
+    camera
+        It must hang inside the room.
+    room
+        ``[[x_min, x_max], [y_min, y_max], [z_min, z_max]]`` in m.
+    steps
+        Points on each side of the picture.
+    """
+    w, h = np.array(camera.size) - 1.0
+    t = np.linspace(0, 1, steps, endpoint=False)[:, None]
+    corners = np.array([[0, 0], [w, 0], [w, h], [0, h], [0, 0]])
+    border = np.vstack([a + t * (b - a) for a, b in pairwise(corners)])
+    ideal = np.column_stack([camera.undistort_points(border), np.ones(len(border))])
+    rays = ideal @ np.linalg.inv(camera.matrix).T @ camera.pose[0]
+    rays = np.where(np.abs(rays) < 1e-12, 1e-12, rays)
+    low, high = np.asarray(room, dtype=float).T
+    distance = (np.where(rays > 0, high, low) - camera.centre_m) / rays  # to the wall ahead, axis by axis
+    return np.asarray(camera.centre_m + rays * distance.min(axis=1, keepdims=True))
+
+
+def rig_section(ax: Axes, rig: Rig, room: npt.ArrayLike, *, axes: str = "xy") -> None:
+    """The rig to scale, from above (``"xy"``) or from the side (``"xz"``): room, mapped floor and what each camera sees."""
+    from scipy.spatial import ConvexHull
+
+    i, j = ("xyz".index(letter) for letter in axes)
+    box, colours = np.asarray(room, dtype=float), camera_colours(list(rig.cameras))
+    bounds = {"x": rig.floor.x, "y": rig.floor.y, "z": (-0.06, 0.0)}
+    for limits, style in (((box[i], box[j]), {"facecolor": "none", "edgecolor": "0.5", "linewidth": 1.5}),
+                          ((bounds[axes[0]], bounds[axes[1]]), {"facecolor": "0.8", "edgecolor": "0.3"})):  # fmt: skip
+        (a, b), (c, d) = limits
+        ax.fill([a, b, b, a], [c, c, d, d], **style)
+    for name, camera in rig.cameras.items():
+        ends = np.vstack([camera.centre_m, view_border_m(camera, room)])[:, [i, j]]
+        hull = ends[ConvexHull(ends).vertices]
+        ax.fill(*hull.T, facecolor=(*to_rgb(colours[name]), 0.14), edgecolor=colours[name], linewidth=1)
+        x, y = camera.centre_m[[i, j]]
+        ax.plot(x, y, "s", color=colours[name], markersize=9)
+        inwards = 1 if x < box[i].mean() else -1
+        ax.annotate(name, (x, y), xytext=(9 * inwards, 8), textcoords="offset points", color=colours[name],
+                    ha="left" if inwards > 0 else "right")  # fmt: skip
+    ax.set(xlabel=f"{axes[0]} (m)", ylabel=f"{axes[1]} (m)", aspect="equal")
+
+
+def rig_in_3d(ax: Any, rig: Rig, room: npt.ArrayLike, things: Mapping[str, npt.ArrayLike] | None = None) -> None:
+    """The vision system as a drawing: room, cameras with their views, a computer on a wall, things on the floor.
+
+    Parameters
+    ----------
+    ax
+        A 3-D axes (``projection="3d"``), in m.
+    rig, room
+        As for :func:`view_border_m`.
+    things
+        For each thing ``(x, y, width, depth, height)`` in m, drawn as a box that hears the computer's broadcast.
+    """
+    box, colours = np.asarray(room, dtype=float), camera_colours(list(rig.cameras))
+    (x0, x1), (y0, y1), (z0, z1) = box
+    for (a, b), (c, d), shade in (((x0, x1), (y0, y1), "0.93"), (rig.floor.x, rig.floor.y, "0.82")):
+        ax.plot_surface(np.array([[a, b], [a, b]]), np.array([[c, c], [d, d]]), np.zeros((2, 2)), color=shade,
+                        shade=False, alpha=0.8)  # fmt: skip
+    for path in ([(x0, y0), (x0, y1), (x1, y1), (x1, y0), (x0, y0)],):
+        ax.plot(*np.array(path).T, z0, color="0.5", linewidth=1)
+    for path in ([(x0, y0), (x0, y1), (x1, y1), (x1, y0)],):
+        ax.plot(*np.array(path).T, z1, color="0.6", linewidth=0.8)
+        for x, y in path:
+            ax.plot([x, x], [y, y], [z0, z1], color="0.6", linewidth=0.8)
+    computer = np.array([(x0 + x1) / 2, y1, 0.9])
+    for name, camera in rig.cameras.items():
+        ends = view_border_m(camera, box)
+        ends = np.vstack([ends, ends[:1]])
+        ax.plot(*ends.T, color=colours[name], linewidth=1.5)
+        for end in ends[: -1 : len(ends) // 4]:
+            ax.plot(*np.array([camera.centre_m, end]).T, color=colours[name], linewidth=0.9)
+        ax.scatter(*camera.centre_m, color=colours[name], marker="s", s=70, depthshade=False)
+        ax.text(*(camera.centre_m + [0, 0, 0.22]), f"{name} camera", color=colours[name], ha="center")
+        wire = np.array([camera.centre_m, [camera.centre_m[0], y1, 2.5], [computer[0], y1, 2.5], computer])
+        ax.plot(*wire.T, color="0.35", linewidth=1, linestyle="-")
+    ax.bar3d(*(computer - [0.3, 0.15, 0.25]), 0.6, 0.15, 0.5, color="0.3", shade=False)
+    ax.text(*(computer + [0.45, 0, 0.1]), "CPU", color="0.1")
+    for name, size in (things or {}).items():
+        x, y, width, depth, height = np.asarray(size, dtype=float)
+        ax.bar3d(x - width / 2, y - depth / 2, 0, width, depth, height, color=TRUTH_COLOUR, shade=True)
+        ax.text(x, y - depth, height + 0.1, name, ha="center")
+        ax.plot(*np.array([computer, [x, y, height]]).T, color="0.2", linestyle=":", linewidth=1.3)
+    ax.set(xlabel="x (m)", ylabel="y (m)", zlabel="z (m)", xlim=box[0], ylim=box[1], zlim=box[2], zticks=[0, 1, 2])
+    ax.set_box_aspect(np.ptp(box, axis=1))
 
 
 def overview(rig: Rig, images: Mapping[str, Image], result: FrameResult, *, title: str = "", truth: Any = ()) -> Figure:

@@ -276,7 +276,10 @@ def _object(fields: Any, index: int) -> SceneObject:
     for i, waypoint in enumerate(fields["path"]):
         _check(waypoint, f"{where}.path[{i}]", {"frame", "at"}, {"heading"})
         at = _vector(waypoint["at"], 2, f"{where}.path[{i}].at")
-        path.append(Waypoint(_count(waypoint["frame"], f"{where}.path[{i}].frame"), at, waypoint.get("heading")))
+        heading = waypoint.get("heading")
+        if heading is not None:
+            (heading,) = _vector([heading], 1, f"{where}.path[{i}].heading")
+        path.append(Waypoint(_count(waypoint["frame"], f"{where}.path[{i}].frame"), at, heading))
     times = [w.frame for w in path]
     if not parts or not times or sorted(set(times)) != times:
         raise ValueError(f"{where}: expected parts, and a path whose frames increase, got frames {times}")
@@ -285,6 +288,8 @@ def _object(fields: Any, index: int) -> SceneObject:
 
 def _rig(room: dict[str, Any], names: Any) -> Rig:
     floor = Floor(tuple(room["floor"]["x"]), tuple(room["floor"]["y"]), room["floor"]["resolution"])
+    if not isinstance(names, list) or not names:
+        raise ValueError(f"cameras: expected a list of names, got {names!r}")
     cameras = {}
     for name in names:
         if name not in room["cameras"]:
@@ -676,7 +681,7 @@ class Studio:
         pose = np.eye(4) if board is None else board.pose
         half = np.array([BOARD_PATTERN[0] + 3, BOARD_PATTERN[1] + 3]) * (board.square if board else 0.1) / 2
         corners = np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) * [*half, 0]
-        up = -50.0 if board is None else 0.002 if board.camera is None else 0.0  # paper lies on the floor
+        up = -50.0 if board is None else 0.0002 if board.camera is None else 0.0  # paper lies on the floor
         return _world_vertices(corners, shift(pose, up))
 
     def place(self, frame: int | None, board: Board | None = None) -> None:
@@ -922,8 +927,12 @@ def floor_marks(scene: Scene) -> dict[str, Any]:
     return {**content, "marks": marks}
 
 
-def write_manifest(lab_dir: str | Path = LAB, *, spp: int = 6) -> Path:
-    """Write ``manifest.json``: size and SHA-256 of every file of the lab, and how it was made."""
+def write_manifest(lab_dir: str | Path = LAB, *, spp: int = 6, llvm: str | None = None) -> Path:
+    """Write ``manifest.json``: size and SHA-256 of every file of the lab, and how it was made.
+
+    Call it where the lab was rendered: it records the versions that are installed; ``llvm`` is what
+    ``drjit.detail.llvm_version()`` said.
+    """
     lab = Path(lab_dir)
     files = {str(p.relative_to(lab).as_posix()): _fingerprint(p) for p in _lab_files(lab)}
     how: dict[str, Any] = {"by": "occlib.synthetic.render", "variant": "llvm_ad_rgb", "spp": spp, "versions": {}}
@@ -932,6 +941,8 @@ def write_manifest(lab_dir: str | Path = LAB, *, spp: int = 6) -> Path:
             how["versions"][package] = metadata.version(package)
         except metadata.PackageNotFoundError:
             pass
+    if llvm:
+        how["versions"]["llvm"] = llvm
     how["seeds"] = {p.parent.name: _read_yaml(p).get("seed", 0) for p in sorted(lab.glob("*/scene.yaml"))}
     content = {"made": how, "bytes": sum(f["bytes"] for f in files.values()), "files": files}
     write_bytes(lab / "manifest.json", (json.dumps(content, indent=1) + "\n").encode())

@@ -20,8 +20,9 @@ import psutil
 import pytest
 from PIL import Image
 
-from occlib import experiments
-from occlib.experiments import notebook_results, record, reproduce, save, student_copies, student_copy
+from occlib import experiments, notebooks
+from occlib.experiments import notebook_results, record, reproduce, save
+from occlib.notebooks import student_copies, student_copy
 
 IMPORTS = "from matplotlib.figure import Figure\nfrom occlib.experiments import record, save\nimport numpy as np"
 PARAMETERS = "seed = 0  # -, of the noise\nfast = False  # -, smaller\nscale = 1.5  # m, of everything"
@@ -212,7 +213,7 @@ def test_wrong_parameter(finished: Path, parameters: dict[str, object], message:
 def test_parameters_are_typed_by_their_defaults() -> None:
     defaults = {"seed": 0, "fast": False, "scale": 1.5, "method": "ssd"}
     given = {"seed": "3", "fast": "true", "scale": "2", "method": "5"}
-    checked = experiments._override("n", defaults, given)
+    checked = notebooks.override("n", defaults, given)
     assert checked == {"seed": 3, "fast": True, "scale": 2.0, "method": "5"}
     assert type(checked["scale"]) is float
 
@@ -440,7 +441,7 @@ def test_save_gives_the_same_bytes_once(notebook: Path) -> None:
 def test_by_hand_results_stay_out_of_figures(project: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("OCCLIB_RUN_DIR", raising=False)
     monkeypatch.setenv("JPY_SESSION_NAME", "/home/me/notebooks/01_draw.ipynb")
-    monkeypatch.setattr(experiments, "PACKAGE", project / "occlib")
+    monkeypatch.setattr(notebooks, "PACKAGE", project / "occlib")
     for value in (1, 2):  # a cell may be run again
         record("x", value)
     assert list(contents(project)) == [str(Path("runs/interactive/01_draw/metrics.json"))]
