@@ -127,7 +127,7 @@ def board_points(pattern: Pattern, square: float) -> FloatArray:
     [[0.0, 0.0], [0.5, 0.0], [1.0, 0.0], [0.0, 0.5]]
     """
     columns, rows = _checked_pattern(pattern)
-    if not (np.isfinite(square) and square > 0):
+    if not 1e-9 < square < 1e6:
         raise ValueError(f"square: expected metres > 0, got {square}")
     grid = np.mgrid[:columns, :rows].T.reshape(-1, 2) * float(square)
     return np.column_stack([grid, np.zeros(len(grid))])

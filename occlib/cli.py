@@ -39,7 +39,7 @@ def build_parser() -> argparse.ArgumentParser:
     p.add_argument("--cameras", nargs="+", metavar="NAME", help="views to use; all of the rig by default")
     p.add_argument("--profile", default="recommended", metavar="NAME", help="recommended (default) or paper")
     p.add_argument("--rule", metavar="NAME", help="fusion rule: and, or")
-    p.add_argument("--threshold", metavar="T", help="otsu, triangle, noise or grey levels")
+    p.add_argument("--threshold", metavar="T", help="otsu, half-otsu, triangle, noise or grey levels")
     p.add_argument("--frames", metavar="START:STOP:STEP", help="only these frames, as in 40:149:4")
     p.add_argument("--maps", action="store_true", help="a map of every frame, in DIR/maps")
 
@@ -60,7 +60,7 @@ def build_parser() -> argparse.ArgumentParser:
     p.add_argument("scene", metavar="SCENE", help="a scene.yaml, or a name in data/lab")
     p.add_argument("--out", metavar="DIR", help="where the recording goes (default: runs/render/NAME)")
     p.add_argument("--frames", metavar="START:STOP:STEP", help="only these frames")
-    p.add_argument("--spp", type=int, default=8, metavar="N", help="samples per pixel (8)")
+    p.add_argument("--spp", type=int, default=6, metavar="N", help="samples per pixel (6)")
 
     p = add("data", "Fetch public recordings, with checksums.", data)
     p.add_argument("action", choices=["fetch", "list", "verify"], help="verify: the checksums of data/lab")
@@ -90,29 +90,27 @@ def run(args: argparse.Namespace) -> int:
     from occlib.metrics import load_truth
     from occlib.pipeline import Pipeline, backgrounds_of, settings_for
     from occlib.plotting import figure_png, overview
-    from occlib.recordings import open_recording, parse_frames, write_file
+    from occlib.recordings import open_recording, parse_frames, staged_folder, write_file
 
     recording = open_recording(args.recording, args.cameras)
-    frames = parse_frames(args.frames, recording.frames) if args.frames else list(recording.frames)
+    frames = list(recording.frames) if args.frames is None else parse_frames(args.frames, recording.frames)
     settings = settings_for(args.profile, rule=args.rule, threshold=_threshold(args.threshold))
-    out = Path(args.out)
-    write_file(out / ".occlib", "")  # find out now, not after the work, whether the folder can be written
-    (out / ".occlib").unlink()
-    pipeline = Pipeline(recording.rig, backgrounds_of(recording), settings)
-    lines = []
-    for frame, images in tqdm(recording.images(frames), total=len(frames), unit="frame", desc=recording.path.name):
-        result = pipeline.process(images, recording.time(frame))
-        objects = [thing.to_dict() for thing in result.objects]
-        lines.append(json.dumps({"frame": frame, "time": round(result.time, 6), "objects": objects}))
-        if args.maps:
-            save_map(out / "maps" / f"{frame:06d}", result.map)
     truth = recording.path / "truth.json"
-    known = load_truth(truth)["frames"].get(str(frames[-1]), []) if truth.is_file() else []
-    title = f"{recording.path.name}, frame {frames[-1]}, rule {settings.rule}, profile {args.profile}"
-    picture = figure_png(overview(recording.rig, images, result, title=title, truth=known))
-    save_map(out / "map", result.map)
-    write_file(out / "overview.png", picture)
-    write_file(out / "objects.jsonl", "\n".join(lines) + "\n")
+    known = {int(k): things for k, things in load_truth(truth)["frames"].items()} if truth.exists() else {}
+    lines, out = [], Path(args.out)
+    with staged_folder(out) as stage:
+        pipeline = Pipeline(recording.rig, backgrounds_of(recording, progress=True), settings)
+        for frame, images in tqdm(recording.images(frames), total=len(frames), unit="frame", desc=recording.path.name):
+            result = pipeline.process(images, recording.time(frame))
+            objects = [thing.to_dict() for thing in result.objects]
+            lines.append(json.dumps({"frame": frame, "time": round(result.time, 6), "objects": objects}))
+            if args.maps:
+                save_map(stage / "maps" / f"{frame:06d}", result.map)
+        title = f"{recording.path.name}, frame {frames[-1]}, rule {settings.rule}, profile {args.profile}"
+        picture = figure_png(overview(recording.rig, images, result, title=title, truth=known.get(frames[-1], [])))
+        save_map(stage / "map", result.map)
+        write_file(stage / "overview.png", picture)
+        write_file(stage / "objects.jsonl", "\n".join(lines) + "\n")
     print(f"{out}: objects.jsonl ({len(lines)} frames), map.pgm, map.yaml, overview.png")
     return 0
 
@@ -141,7 +139,7 @@ def calibrate(args: argparse.Namespace) -> int:
     from occlib.calibration import calibrate_images, save_calibration
 
     columns, _, rows = args.pattern.lower().partition("x")
-    if not (columns.isdigit() and rows.isdigit()):
+    if not (columns.isdecimal() and rows.isdecimal()):
         raise ValueError(f"--pattern: expected COLUMNSxROWS inner corners such as 9x6, got {args.pattern!r}")
     result = calibrate_images(args.images, (int(columns), int(rows)), args.square, progress=True)
     (fx, _, cx), (_, fy, cy), _ = result.matrix
@@ -156,11 +154,11 @@ def calibrate(args: argparse.Namespace) -> int:
 
 def render(args: argparse.Namespace) -> int:
     from occlib.recordings import parse_frames
+    from occlib.rendering import render as render_scene
     from occlib.synthetic import load_scene
-    from occlib.synthetic import render as render_scene
 
     scene = load_scene(args.scene)
-    frames = parse_frames(args.frames, range(scene.frames)) if args.frames else None
+    frames = None if args.frames is None else parse_frames(args.frames, range(scene.frames))
     out = Path(args.out or Path("runs") / "render" / scene.name)
     print(render_scene(scene, out, frames=frames, spp=args.spp))
     return 0
@@ -170,7 +168,7 @@ def data(args: argparse.Namespace) -> int:
     from occlib import recordings
 
     if args.action == "verify":
-        from occlib.synthetic import verify_manifest
+        from occlib.rendering import verify_manifest
 
         problems = verify_manifest()
         print("\n".join(problems) or "data/lab agrees with its manifest")
@@ -192,6 +190,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         status = int(args.function(args))
         sys.stdout.flush()
         return status
+    except BrokenPipeError:  # the reader of a pipe left, as in `occlib ... | head`
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 141
     except (ValueError, OSError) as error:
         message = " ".join(str(error).split())
         print(f"occlib {args.command}: {message}", file=sys.stderr)
@@ -199,9 +200,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         print(f"occlib {args.command}: interrupted", file=sys.stderr)
         return 130
-    except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 141
 
 
 if __name__ == "__main__":

@@ -7,6 +7,8 @@ step is a function of its own, on RGB uint8 images.
 from __future__ import annotations
 
 import io
+import zipfile
+import zlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -58,10 +60,14 @@ class Background:
     def load(cls, path: str | Path) -> Background:
         """Read a saved background; ``ValueError`` in one line if the file is not one."""
         try:
-            with np.load(path, allow_pickle=False) as archive:
-                return cls(_checked(archive["image"], "background"), float(archive["noise"]))
-        except (OSError, KeyError, ValueError, EOFError) as error:
+            content = io.BytesIO(Path(path).read_bytes())  # np.load leaves a damaged file open
+            with np.load(content, allow_pickle=False) as archive:  # a bare array (.npy) is no archive: TypeError
+                image, noise = _checked(archive["image"], "background"), float(archive["noise"])
+        except (OSError, KeyError, TypeError, ValueError, EOFError, zipfile.BadZipFile, zlib.error) as error:
             raise ValueError(f"{path}: cannot read a background ({error})") from None
+        if not (np.isfinite(noise) and noise >= 0):
+            raise ValueError(f"{path}: noise: expected grey levels >= 0, got {noise}")
+        return cls(image, noise)
 
 
 def _checked(image: Image, name: str = "image") -> Image:
@@ -152,7 +158,7 @@ def _grow(image: FloatArray, settled: Mask, candidates: FloatArray) -> FloatArra
         good = distance.min(axis=0) <= accept
         if good.mean() < 0.02:  # the sure pixels are used up: take less sure ones
             accept *= 1.5
-            if np.isfinite(accept):
+            if accept < 1.5 * 255:  # beyond that, only candidates without any support are left
                 continue
             good = np.ones(len(y), dtype=bool)
         accept = 8.0
@@ -181,6 +187,7 @@ def intensity_gain_offset(image: Image, background: Image, *, step: int = 16) ->
     """
     if image.shape != background.shape:
         raise ValueError(f"image: expected the background's shape {background.shape}, got {image.shape}")
+    step = min(step, *image.shape[:2])  # at least one px of a tiny picture
     x = image[step // 2 :: step, step // 2 :: step].ravel().astype(np.float32)
     y = background[step // 2 :: step, step // 2 :: step].ravel().astype(np.float32)
     residual = np.abs(y - x - np.median(y - x))
@@ -243,7 +250,16 @@ def triangle_threshold(difference: Image) -> float:
     return float(cv2.threshold(difference, 0, 255, cv2.THRESH_BINARY | cv2.THRESH_TRIANGLE)[0])
 
 
-THRESHOLDS: dict[str, Callable[[Image], float]] = {"otsu": otsu_threshold, "triangle": triangle_threshold}
+def half_otsu_threshold(difference: Image) -> float:
+    """Half of Otsu's threshold: covers the faint parts of an object that Otsu cuts off, and still follows the contrast."""
+    return otsu_threshold(difference) / 2
+
+
+THRESHOLDS: dict[str, Callable[[Image], float]] = {
+    "otsu": otsu_threshold,
+    "half-otsu": half_otsu_threshold,
+    "triangle": triangle_threshold,
+}
 """Thresholds by name; each takes the uint8 difference and returns grey levels."""
 
 

@@ -37,7 +37,7 @@ def as_points(points: npt.ArrayLike, *, dimensions: int = 2, name: str = "points
     array = np.asarray(points, dtype=np.float64)
     if array.size == 0:
         return np.empty((0, dimensions))
-    if array.shape[-1] != dimensions:
+    if array.ndim == 0 or array.shape[-1] != dimensions:
         raise ValueError(f"{name}: expected shape (N, {dimensions}), got {array.shape}")
     return array.reshape(-1, dimensions)
 
@@ -83,8 +83,9 @@ class Floor:
                 raise ValueError(f"floor.{name}: expected [min, max] with min < max, got [{low}, {high}]")
         if not (np.isfinite(self.resolution) and self.resolution > 0):
             raise ValueError(f"floor.resolution: expected metres per cell > 0, got {self.resolution}")
-        if self.shape[0] * self.shape[1] > 100_000_000:
-            raise ValueError(f"floor: {self.shape[1]} x {self.shape[0]} cells are too many; raise floor.resolution")
+        cells = [(high - low) / self.resolution for low, high in (self.x, self.y)]
+        if not cells[0] * cells[1] < 100_000_000:
+            raise ValueError(f"floor: {cells[0]:.6g} x {cells[1]:.6g} cells are too many; raise floor.resolution")
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -165,8 +166,8 @@ class Camera:
     ) -> Camera:
         """A camera from its pose (world to camera, m): ``H = (K [r1 r2 t])^-1``."""
         k, r, t = (np.asarray(a, dtype=np.float64) for a in (matrix, rotation, translation))
-        if r.shape != (3, 3) or not np.allclose(r @ r.T, np.eye(3), atol=1e-4):
-            raise ValueError(f"{name}: rotation: expected an orthonormal 3x3 matrix")
+        if r.shape != (3, 3) or not np.allclose(r @ r.T, np.eye(3), atol=1e-4) or np.linalg.det(r) < 0:
+            raise ValueError(f"{name}: rotation: expected an orthonormal 3x3 matrix that is no mirror")
         floor_to_image = k @ np.column_stack([r[:, 0], r[:, 1], t.reshape(3)])
         return cls(name, size, k, np.asarray(distortion, float), invert_homography(floor_to_image, name))
 
@@ -255,7 +256,8 @@ class Camera:
 def invert_homography(homography: npt.ArrayLike, name: str = "homography") -> FloatArray:
     """The inverse, scaled to ``H[2, 2] = 1`` where possible; ``ValueError`` if it is singular."""
     matrix = np.asarray(homography, dtype=np.float64)
-    if matrix.shape != (3, 3) or not np.isfinite(matrix).all() or abs(np.linalg.det(matrix)) < 1e-12:
+    largest = np.abs(matrix).max(initial=0.0)  # a homography has no scale of its own; absurd ones only overflow
+    if matrix.shape != (3, 3) or not 1e-50 < largest < 1e50 or abs(np.linalg.det(matrix / largest)) < 1e-12:
         raise ValueError(f"{name}: expected an invertible 3x3 homography")
     inverse = np.linalg.inv(matrix)
     return np.asarray(inverse / inverse[2, 2] if abs(inverse[2, 2]) > 1e-12 else inverse)
@@ -289,7 +291,7 @@ class Rig:
             content = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
         except OSError as error:
             raise ValueError(f"{path}: cannot read the rig ({error.strerror})") from None
-        except (yaml.YAMLError, UnicodeDecodeError) as error:
+        except (yaml.YAMLError, ValueError, RecursionError) as error:  # ValueError: not UTF-8, an impossible date
             raise ValueError(f"{path}: not valid YAML ({str(error).splitlines()[0]})") from None
         try:
             return cls.from_dict(content)
@@ -334,7 +336,7 @@ class Rig:
 def _numbers(value: Any, shape: tuple[int, ...], name: str) -> FloatArray:
     try:
         array = np.asarray(value, dtype=np.float64)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         array = np.array(np.nan)
     if array.shape != shape or not np.isfinite(array).all():
         what = f"{'x'.join(map(str, shape))} finite numbers" if shape else "a finite number"
@@ -347,12 +349,15 @@ def _camera(name: str, fields: Any) -> Camera:
         raise ValueError(f"cameras.{name}: expected a mapping")
     where = f"cameras.{name}"
     width, height = _numbers(fields.get("size"), (2,), f"{where}.size")
-    if min(width, height) < 1 or width != int(width) or height != int(height):
-        raise ValueError(f"{where}.size: expected [width, height] in px, got {fields['size']}")
+    if min(width, height) < 1 or max(width, height) > 100_000 or width != int(width) or height != int(height):
+        raise ValueError(f"{where}.size: expected [width, height] in px, got {str(fields['size'])[:60]}")
     size = (int(width), int(height))
     matrix = _numbers(fields.get("matrix"), (3, 3), f"{where}.matrix")
-    if matrix[0, 0] <= 0 or matrix[1, 1] <= 0 or not np.array_equal(matrix[2], [0, 0, 1]):
-        raise ValueError(f"{where}.matrix: expected [[fx, 0, cx], [0, fy, cy], [0, 0, 1]] with fx, fy > 0")
+    fx, fy, bottom = matrix[0, 0], matrix[1, 1], matrix[2]
+    if min(fx, fy) < 1e-3 or np.abs(matrix).max() > 1e9 or matrix[0, 1] or matrix[1, 0] or bottom.tolist() != [0, 0, 1]:
+        raise ValueError(
+            f"{where}.matrix: expected [[fx, 0, cx], [0, fy, cy], [0, 0, 1]] in px with fx, fy > 0, got {matrix.tolist()}"
+        )
     distortion = _numbers(fields.get("distortion", [0.0] * 5), (5,), f"{where}.distortion")
     if "floor_homography" in fields:
         homography = _numbers(fields["floor_homography"], (3, 3), f"{where}.floor_homography")

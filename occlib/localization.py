@@ -100,7 +100,8 @@ def find_regions(
 
 
 def _components(pixels: npt.NDArray[Any]) -> tuple[int, npt.NDArray[np.int32]]:
-    count, labels = cv2.connectedComponents(pixels)
+    # the default algorithm scans blocks of 2 x 2 px and numbers by block, this one in row-major order of the px
+    count, labels = cv2.connectedComponentsWithAlgorithm(pixels, 8, cv2.CV_32S, cv2.CCL_WU)
     return count, np.asarray(labels, dtype=np.int32)
 
 
@@ -131,16 +132,21 @@ def _open_rim(mask: Mask) -> npt.NDArray[np.int32]:
 def _bridge(pixels: npt.NDArray[np.uint8], join: int) -> npt.NDArray[np.uint8]:
     size = join + 1  # a closing of this size bridges a gap of ``join`` px
     padded = cv2.copyMakeBorder(pixels, size, size, size, size, cv2.BORDER_CONSTANT, value=0)
-    closed = cv2.morphologyEx(padded, cv2.MORPH_CLOSE, np.ones((size, size), np.uint8))
+    square, anchor = np.ones((size, size), np.uint8), size // 2
+    mirrored = size - 1 - anchor  # a square of even side has no middle: MORPH_CLOSE would move or lose the result
+    closed = cv2.dilate(padded, square, anchor=(mirrored, mirrored))
+    closed = cv2.erode(closed, square, anchor=(anchor, anchor))
     return np.ascontiguousarray(closed[size:-size, size:-size])
 
 
 def contour(mask: Mask) -> FloatArray:
     """Outer contour of a mask's largest region, in order around it. Points (N, 2) in px."""
-    found, _ = cv2.findContours(mask.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-    if not found:
+    labels, regions = find_regions(mask.astype(np.bool_))
+    if not regions:
         raise ValueError("mask: expected at least one foreground px, got none")
-    return as_points(max((np.asarray(c).reshape(-1, 2) for c in found), key=len))
+    largest = (labels == max(regions, key=lambda region: region.area).label).view(np.uint8)
+    found, _ = cv2.findContours(largest, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    return as_points(np.asarray(found[0]).reshape(-1, 2))
 
 
 def contour_polar(contour_px: npt.ArrayLike, centroid_px: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:

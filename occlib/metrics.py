@@ -312,8 +312,13 @@ def load_truth(path: str | Path) -> dict[str, Any]:
     """Read and check ``truth.json``; ``ValueError`` names the file, frame and field that is wrong."""
     content = _parse_json(_read(path), str(path))
     try:
-        _truth_frames(content)
-        for name in content.get("roi") or {}:
+        for frame, things in _truth_frames(content).items():
+            for index, thing in enumerate(things):
+                _check_true_object(thing, f"truth.frames.{frame}[{index}]")
+        regions = content.get("roi") or {}
+        if not isinstance(regions, Mapping):
+            raise ValueError(f"roi: expected a mapping of names to polygons, got {type(regions).__name__}")
+        for name in regions:
             _region(content, name)
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from None
@@ -345,8 +350,10 @@ def _things(entries: Any, where: str) -> list[dict[str, Any]]:
             raise ValueError(f"{where}[{index}]: expected a mapping with x and y, got {type(entry).__name__}")
         for name in ("x", "y"):
             value = entry.get(name)
-            if not isinstance(value, int | float) or isinstance(value, bool) or not abs(value) < 1e12:
+            if not _is_number(value):
                 raise ValueError(f"{where}[{index}].{name}: expected finite metres, got {str(value)[:40]}")
+        if not isinstance(entry.get("id"), str | int | float | None):
+            raise ValueError(f"{where}[{index}].id: expected a name or number, got {str(entry['id'])[:40]}")
     return entries
 
 
@@ -368,17 +375,35 @@ def _truth_frames(truth: Any) -> dict[int, list[dict[str, Any]]]:
     return dict(sorted(frames.items()))
 
 
+def _check_true_object(thing: Mapping[str, Any], where: str) -> None:
+    """Check the fields that only a truth file has."""
+    if thing.get("footprint") is not None:
+        _polygon(thing["footprint"], f"{where}.footprint")
+    hidden = thing.get("hidden_fraction")
+    if hidden is not None and not (isinstance(hidden, Mapping) and all(map(_is_number, hidden.values()))):
+        raise ValueError(f"{where}.hidden_fraction: expected a mapping of cameras to numbers, got {str(hidden)[:40]}")
+
+
+def _is_number(value: Any) -> bool:
+    """Whether a value from a file is a finite number of a sane size."""
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < 1e12
+
+
+def _polygon(value: Any, name: str) -> FloatArray:
+    try:
+        polygon = as_points(value, name=name)
+    except (TypeError, ValueError, OverflowError):
+        polygon = np.empty((0, 2))
+    if len(polygon) < 3 or not np.isfinite(polygon).all():
+        raise ValueError(f"{name}: expected three or more finite points [x, y]")
+    return polygon
+
+
 def _region(truth: Mapping[str, Any], roi: str) -> FloatArray:
     known = truth.get("roi") or {}
     if not isinstance(known, Mapping) or roi not in known:
         raise ValueError(f"roi: {roi!r} is not in the truth, which has {', '.join(map(str, known)) or 'none'}")
-    try:
-        polygon = as_points(known[roi], name=f"roi {roi!r}")
-    except (TypeError, ValueError):
-        polygon = np.empty((0, 2))
-    if len(polygon) < 3 or not np.isfinite(polygon).all():
-        raise ValueError(f"roi {roi!r}: expected three or more finite points [x, y]")
-    return polygon
+    return _polygon(known[roi], f"roi {roi!r}")
 
 
 def _matched_frames(

@@ -55,15 +55,16 @@ def fuse(evidence: Sequence[Image], rule: str = "and", *, visible: Sequence[Mask
     if views[0].dtype.kind == "f" and not all(np.isfinite(view).all() for view in views):
         raise ValueError("evidence: expected finite numbers, got NaN or infinity")
     if visible is None:
-        return np.asarray(reduce(RULES[rule], views))
+        return np.asarray(reduce(RULES[rule], views[1:], views[0].copy()))
     if len(visible) != len(views) or any(np.shape(seen) != views[0].shape for seen in visible):
         raise ValueError(f"visible: expected {len(views)} masks of shape {views[0].shape}")
     if views[0].dtype == np.bool_:
         neutral: Any = rule == "and"
-    elif rule == "or":
-        neutral = 0
+    elif views[0].dtype.kind == "f":
+        neutral = np.inf if rule == "and" else -np.inf
     else:
-        neutral = np.inf if views[0].dtype.kind == "f" else np.iinfo(views[0].dtype).max
+        limits = np.iinfo(views[0].dtype)
+        neutral = limits.max if rule == "and" else limits.min
     fused = reduce(
         RULES[rule], [np.where(seen, v, np.array(neutral, v.dtype)) for v, seen in zip(views, visible, strict=True)]
     )
@@ -127,6 +128,7 @@ def hidden_fractions(
     if not len(chosen):
         return fractions
     cells, own = np.column_stack([ix, iy])[chosen].astype(float), own[chosen]
+    tested = np.maximum(np.bincount(own, minlength=count + 1)[1:], 1)  # a label without cells hides nowhere
     ny, nx = labels.shape
     for view, (mask, station) in enumerate(zip(masks, stations, strict=True)):
         line = np.asarray(station, float) - cells
@@ -142,5 +144,5 @@ def hidden_fractions(
         unbroken = np.logical_and.accumulate(on_map & mask[y, x], axis=1)
         met = labels[y, x]
         hidden = (unbroken & (met > 0) & (met != own[:, None])).any(axis=1)
-        fractions[:, view] = np.bincount(own, hidden, count + 1)[1:] / np.bincount(own, minlength=count + 1)[1:]
+        fractions[:, view] = np.bincount(own, hidden, count + 1)[1:] / tested
     return fractions

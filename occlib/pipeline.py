@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from tqdm import tqdm
 
 from occlib.foreground import (
     Background,
@@ -41,7 +42,10 @@ class Settings:
     smoothing_px
         Side of the Gaussian in px, odd.
     threshold
-        ``"otsu"``, ``"triangle"``, ``"noise"`` or grey levels; see :func:`occlib.foreground.threshold_level`.
+        ``"otsu"``, ``"half-otsu"``, ``"triangle"``, ``"noise"`` or grey levels; see
+        :func:`occlib.foreground.threshold_level`.
+    min_level
+        Grey levels below which nothing is foreground, whatever the threshold and the noise floor.
     warp_difference
         Warp the difference and threshold it on the floor, rather than warp the thresholded mask.
     rule
@@ -58,11 +62,12 @@ class Settings:
 
     colour: bool = True
     smoothing_px: int = 5
-    threshold: str | float = 30.0
+    threshold: str | float = "half-otsu"
+    min_level: float = 30.0
     warp_difference: bool = True
     rule: str = "and"
     join_m: float = 0.2
-    min_area_m2: float = 0.01
+    min_area_m2: float = 0.015
     position: str = "middle"
     remove_ghosts: bool = True
 
@@ -72,6 +77,7 @@ PROFILES = {
     "paper": Settings(
         colour=False,
         threshold="otsu",
+        min_level=0.0,
         warp_difference=False,
         join_m=0.0,
         min_area_m2=0.002,
@@ -194,7 +200,7 @@ class Pipeline:
         check_size(image, self.rig[name].size, f"image of {name}")
         how, background = self.settings, self.backgrounds[name]
         difference = smooth(subtract_background(image, background, colour=how.colour), size=how.smoothing_px)
-        level = threshold_level(difference, how.threshold, noise_floor=background.noise_floor)
+        level = threshold_level(difference, how.threshold, noise_floor=max(how.min_level, background.noise_floor))
         if how.warp_difference:
             return self.warps[name].warp(difference) > level
         return np.asarray(self.warps[name].warp(difference > level), dtype=bool)
@@ -259,12 +265,12 @@ class Pipeline:
         return occupancy_map(labels > 0, known, self.rig.floor)
 
 
-def backgrounds_of(recording: Recording, *, samples: int = 60) -> dict[str, Background]:
-    """Each camera's background: the mean of its empty pictures, or else learned from the frames."""
-    empty = recording.background_images()
-    backgrounds = {name: average_background(images) for name, images in empty.items()}
-    if len(empty) < len(recording.sources):
-        for name, images in recording.sample(samples).items():
-            if name not in backgrounds:
-                backgrounds[name] = learn_background(images)
+def backgrounds_of(recording: Recording, *, samples: int = 60, progress: bool = False) -> dict[str, Background]:
+    """Each camera's background: the mean of its empty pictures, or else learned from ``samples`` of its frames."""
+    backgrounds = {name: average_background(images) for name, images in recording.background_images().items()}
+    if len(backgrounds) < len(recording.sources):
+        pictures = recording.sample(samples)
+        unknown = [name for name in pictures if name not in backgrounds]
+        for name in tqdm(unknown, desc="learning the background", unit="camera", disable=not progress):
+            backgrounds[name] = learn_background(pictures[name])
     return {name: backgrounds[name] for name in recording.sources}

@@ -21,6 +21,7 @@ from occlib.geometry import Camera, FloatArray, Floor, Image, Mask, Rig
 
 if TYPE_CHECKING:
     from occlib.mapping import OccupancyMap
+    from occlib.matching import Match
     from occlib.pipeline import FrameResult
     from occlib.tracking import ObjectVector
 
@@ -227,6 +228,53 @@ def views_and_map(
     return fig
 
 
+def frame_strip(
+    rig: Rig,
+    images: Mapping[int, Mapping[str, Image]],
+    results: Mapping[int, FrameResult],
+    truth: Mapping[str, Sequence[Mapping[str, Any]]],
+    *,
+    crops: Mapping[str, tuple[int, int, int, int]],
+    window_m: tuple[float, float, float, float],
+) -> Figure:
+    """A column for each of a few frames: the views, what is hidden outlined in white, and the map with its object ids.
+
+    Parameters
+    ----------
+    rig
+        Floor and cameras.
+    images, results, truth
+        By frame number (in ``truth`` as text), at least for the frames of ``images``.
+    crops, window_m
+        As for :func:`views_and_map`.
+    """
+    names, colours = list(rig.cameras), camera_colours(list(rig.cameras))
+    fig, axes = new_figure(len(images), len(names) + 1, width=2.4 * len(images), height=2.4 * (len(names) + 1))
+    for column, frame in zip(axes.T, images, strict=True):
+        things = truth[str(frame)]
+        for ax, name in zip(column, names, strict=False):
+            show_image(ax, images[frame][name])
+            for thing in things:
+                if thing["hidden_fraction"].get(name, 0) > 0.9:
+                    outline_on_image(ax, rig[name], thing["footprint"], color="white", linestyle="--", linewidth=1.6)
+            left, right, top, bottom = crops[name]
+            ax.set(xlim=(left, right), ylim=(bottom, top))
+            ax.set_ylabel(f"{name} view" if frame == next(iter(images)) else "", color=colours[name], fontsize=12)
+        column[0].set_title(f"t = {results[frame].time:.1f} s", fontsize=12)
+        show_map(column[-1], results[frame].map)
+        for found in results[frame].objects:
+            column[-1].text(*found.position_m, str(found.id), color="white", ha="center", va="center", fontsize=12)
+        for thing in things:
+            outline = np.vstack([thing["footprint"], thing["footprint"][:1]])
+            column[-1].plot(*outline.T, color=TRUTH_COLOUR, linewidth=1.2)
+        column[-1].set(xlim=window_m[:2], ylim=window_m[2:])
+    for ax in axes[-1, 1:]:
+        ax.set_ylabel("")
+    axes[-1, 0].plot([], [], color=TRUTH_COLOUR, linewidth=1.2, label="true footprint")
+    axes[-1, 0].legend(loc="upper right", fontsize=8)
+    return fig
+
+
 def _umbra_map(ax: Axes, rig: Rig, result: FrameResult, truth: Any, window_m: tuple[float, ...]) -> None:
     """The map over the pale shadows of the single views, with an arrow from each camera's side."""
     colours = camera_colours(list(rig.cameras))
@@ -253,8 +301,8 @@ def _umbra_map(ax: Axes, rig: Rig, result: FrameResult, truth: Any, window_m: tu
     ax.tick_params(labelsize=11)
 
 
-def view_border_m(camera: Camera, room: npt.ArrayLike, *, steps: int = 24) -> npt.NDArray[np.float64]:
-    """Where the border of a camera's picture meets the floor, walls or ceiling of a room, (4 * steps, 3) in m.
+def view_points_m(camera: Camera, room: npt.ArrayLike, *, steps: int = 24) -> npt.NDArray[np.float64]:
+    """Where a camera's picture meets the floor, walls or ceiling of a room: ``steps`` x ``steps`` pixels, (N, 3) in m.
 
     Parameters
     ----------
@@ -263,14 +311,11 @@ def view_border_m(camera: Camera, room: npt.ArrayLike, *, steps: int = 24) -> np
     room
         ``[[x_min, x_max], [y_min, y_max], [z_min, z_max]]`` in m.
     steps
-        Points on each side of the picture.
+        Pixels along each side of the picture, border included.
     """
-    w, h = np.array(camera.size) - 1.0
-    t = np.linspace(0, 1, steps, endpoint=False)[:, None]
-    corners = np.array([[0, 0], [w, 0], [w, h], [0, h], [0, 0]])
-    border = np.vstack([a + t * (b - a) for a, b in pairwise(corners)])
-    ideal = np.column_stack([camera.undistort_points(border), np.ones(len(border))])
-    rays = ideal @ np.linalg.inv(camera.matrix).T @ camera.pose[0]
+    u, v = (np.linspace(0, n - 1, steps) for n in camera.size)
+    ideal = camera.undistort_points(np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2))
+    rays = np.column_stack([ideal, np.ones(len(ideal))]) @ np.linalg.inv(camera.matrix).T @ camera.pose[0]
     rays = np.where(np.abs(rays) < 1e-12, 1e-12, rays)
     low, high = np.asarray(room, dtype=float).T
     distance = (np.where(rays > 0, high, low) - camera.centre_m) / rays  # to the wall ahead, axis by axis
@@ -289,7 +334,7 @@ def rig_section(ax: Axes, rig: Rig, room: npt.ArrayLike, *, axes: str = "xy") ->
         (a, b), (c, d) = limits
         ax.fill([a, b, b, a], [c, c, d, d], **style)
     for name, camera in rig.cameras.items():
-        ends = np.vstack([camera.centre_m, view_border_m(camera, room)])[:, [i, j]]
+        ends = np.vstack([camera.centre_m, view_points_m(camera, room)])[:, [i, j]]
         hull = ends[ConvexHull(ends).vertices]
         ax.fill(*hull.T, facecolor=(*to_rgb(colours[name]), 0.14), edgecolor=colours[name], linewidth=1)
         x, y = camera.centre_m[[i, j]]
@@ -300,49 +345,84 @@ def rig_section(ax: Axes, rig: Rig, room: npt.ArrayLike, *, axes: str = "xy") ->
     ax.set(xlabel=f"{axes[0]} (m)", ylabel=f"{axes[1]} (m)", aspect="equal")
 
 
-def rig_in_3d(ax: Any, rig: Rig, room: npt.ArrayLike, things: Mapping[str, npt.ArrayLike] | None = None) -> None:
-    """The vision system as a drawing: room, cameras with their views, a computer on a wall, things on the floor.
+def rig_in_3d(ax: Any, rig: Rig, room: npt.ArrayLike, things: Mapping[str, npt.ArrayLike]) -> None:
+    """The vision system as a drawing: room, mapped floor, cameras, a computer on a wall, and what it talks to.
 
     Parameters
     ----------
     ax
-        A 3-D axes (``projection="3d"``), in m.
+        A 3-D axes made with ``projection="3d", computed_zorder=False``, in m.
     rig, room
-        As for :func:`view_border_m`.
+        As for :func:`rig_section`.
     things
-        For each thing ``(x, y, width, depth, height)`` in m, drawn as a box that hears the computer's broadcast.
+        For each thing ``(x, y, width, depth, height)`` in m: a box that hears the computer's broadcast.
     """
     box, colours = np.asarray(room, dtype=float), camera_colours(list(rig.cameras))
-    (x0, x1), (y0, y1), (z0, z1) = box
-    for (a, b), (c, d), shade in (((x0, x1), (y0, y1), "0.93"), (rig.floor.x, rig.floor.y, "0.82")):
-        ax.plot_surface(np.array([[a, b], [a, b]]), np.array([[c, c], [d, d]]), np.zeros((2, 2)), color=shade,
-                        shade=False, alpha=0.8)  # fmt: skip
-    for path in ([(x0, y0), (x0, y1), (x1, y1), (x1, y0), (x0, y0)],):
-        ax.plot(*np.array(path).T, z0, color="0.5", linewidth=1)
-    for path in ([(x0, y0), (x0, y1), (x1, y1), (x1, y0)],):
-        ax.plot(*np.array(path).T, z1, color="0.6", linewidth=0.8)
-        for x, y in path:
-            ax.plot([x, x], [y, y], [z0, z1], color="0.6", linewidth=0.8)
-    computer = np.array([(x0 + x1) / 2, y1, 0.9])
+    (x0, x1), (y0, y1), (_, top) = box
+    for (a, b), (c, d), shade in (((x0, x1), (y0, y1), "0.95"), (rig.floor.x, rig.floor.y, "0.84")):
+        ax.plot_surface(*np.array([[[a, b], [a, b]], [[c, c], [d, d]], [[0, 0], [0, 0]]]), color=shade, shade=False)
+    for x, y in ((x0, y1), (x1, y1)):
+        ax.plot([x, x], [y, y], [0, top], color="0.7", linewidth=1)
+    ax.plot([x0, x1], [y1, y1], [top, top], color="0.7", linewidth=1)
+    computer = np.array([(x0 + x1) / 2, y1, 1.3])
+    (fx0, fx1), (fy0, fy1) = rig.floor.x, rig.floor.y
     for name, camera in rig.cameras.items():
-        ends = view_border_m(camera, box)
-        ends = np.vstack([ends, ends[:1]])
-        ax.plot(*ends.T, color=colours[name], linewidth=1.5)
-        for end in ends[: -1 : len(ends) // 4]:
-            ax.plot(*np.array([camera.centre_m, end]).T, color=colours[name], linewidth=0.9)
-        ax.scatter(*camera.centre_m, color=colours[name], marker="s", s=70, depthshade=False)
-        ax.text(*(camera.centre_m + [0, 0, 0.22]), f"{name} camera", color=colours[name], ha="center")
-        wire = np.array([camera.centre_m, [camera.centre_m[0], y1, 2.5], [computer[0], y1, 2.5], computer])
-        ax.plot(*wire.T, color="0.35", linewidth=1, linestyle="-")
-    ax.bar3d(*(computer - [0.3, 0.15, 0.25]), 0.6, 0.15, 0.5, color="0.3", shade=False)
-    ax.text(*(computer + [0.45, 0, 0.1]), "CPU", color="0.1")
-    for name, size in (things or {}).items():
+        centre, colour = camera.centre_m, colours[name]
+        for x, y in ((fx0, fy0), (fx0, fy1), (fx1, fy0), (fx1, fy1)):
+            ax.plot(*np.array([centre, [x, y, 0]]).T, color=colour, linewidth=1)
+        cable = np.array([centre, [centre[0], y1, centre[2]], [computer[0], y1, centre[2]], computer])
+        ax.plot(*cable.T, color="0.45", linewidth=1)
+        ax.scatter(*centre, color=colour, marker="s", s=80, depthshade=False)
+        ax.text(*centre[:2], centre[2] + 0.3, f"{name} camera", color=colour, ha="center")
+    ax.bar3d(computer[0] - 0.35, y1 - 0.15, 1.05, 0.7, 0.15, 0.5, color="0.3", shade=False)
+    ax.text(*computer, "CPU", color="white", ha="center", va="center", fontsize=8)
+    for name, size in things.items():
         x, y, width, depth, height = np.asarray(size, dtype=float)
         ax.bar3d(x - width / 2, y - depth / 2, 0, width, depth, height, color=TRUTH_COLOUR, shade=True)
-        ax.text(x, y - depth, height + 0.1, name, ha="center")
-        ax.plot(*np.array([computer, [x, y, height]]).T, color="0.2", linestyle=":", linewidth=1.3)
+        ax.text(x, y - depth / 2, -0.35, name, ha="center")
+        ax.plot(*np.array([[computer[0], y1 - 0.15, 1.05], [x, y, height]]).T, color="0.2", linestyle=":")
     ax.set(xlabel="x (m)", ylabel="y (m)", zlabel="z (m)", xlim=box[0], ylim=box[1], zlim=box[2], zticks=[0, 1, 2])
-    ax.set_box_aspect(np.ptp(box, axis=1))
+    ax.set_box_aspect(np.ptp(box, axis=1), zoom=1.1)
+    ax.grid(visible=False)
+    for axis in (ax.xaxis, ax.yaxis, ax.zaxis):
+        axis.pane.set_visible(False)
+
+
+def show_mask_errors(ax: Axes, mask: Mask, truth: Mask, title: str = "") -> None:
+    """A mask against the exact one: hits grey, misses red, false px yellow; ``ax.legend()`` names them."""
+    kinds = (
+        ("hit", "#BBBBBB", mask & truth),
+        ("missed", "#D55E00", truth & ~mask),
+        ("false", "#F0E442", mask & ~truth),
+    )
+    canvas = np.zeros((*mask.shape, 3))
+    for name, colour, where in kinds:
+        canvas[where] = to_rgb(colour)
+        ax.plot([], [], "s", color=colour, label=name)
+    show_image(ax, canvas, title)
+
+
+def show_similarity(
+    ax: Axes, scores: npt.NDArray[Any], image_shape: tuple[int, ...], title: str = "", **options: Any
+) -> AxesImage:
+    """A similarity image in the picture's px, each score at its template's centre; no score is hatched."""
+    rows, columns = scores.shape
+    x, y = (image_shape[1] - columns) / 2 - 0.5, (image_shape[0] - rows) / 2 - 0.5
+    options = {"cmap": "viridis", "interpolation": "nearest", **options}
+    picture = ax.imshow(scores, extent=(x, x + columns, y + rows, y), **options)
+    ax.patch.set(facecolor="0.9", hatch="///", edgecolor="0.75")
+    ax.set(xticks=[], yticks=[], xlim=(-0.5, image_shape[1] - 0.5), ylim=(image_shape[0] - 0.5, -0.5))
+    ax.set_title(title, fontsize=10)
+    return picture
+
+
+def show_matches(ax: Axes, matches: Sequence[Match], *, colour: str = "#D55E00") -> None:
+    """The frame and the centre of each match, on an image in px."""
+    for match in matches:
+        x, y = match.x - 0.5, match.y - 0.5
+        corners = [(x, y), (x + match.width, y), (x + match.width, y + match.height), (x, y + match.height), (x, y)]
+        ax.plot(*np.transpose(corners), color=colour, linewidth=1.4)
+        ax.plot(*match.centre_px, "+", color=colour, markersize=8, markeredgewidth=1.6)
 
 
 def overview(rig: Rig, images: Mapping[str, Image], result: FrameResult, *, title: str = "", truth: Any = ()) -> Figure:

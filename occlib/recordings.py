@@ -8,8 +8,10 @@ from __future__ import annotations
 
 import os
 import re
+import shutil
 import tempfile
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -25,6 +27,8 @@ VIDEO_SUFFIXES = (".mp4", ".avi")
 DATA = Path(__file__).resolve().parent.parent / "data"
 LAB = DATA / "lab"
 DEFAULT_FPS = 10.0
+
+os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # a corrupt video is reported here, in one line, not by FFmpeg
 
 
 # --- files -----------------------------------------------------------------------------------------
@@ -53,13 +57,43 @@ def write_file(path: str | Path, content: bytes | str) -> Path:
     return target
 
 
+@contextmanager
+def staged_folder(path: str | Path) -> Iterator[Path]:
+    """A temporary folder inside ``path`` whose files move to ``path`` when all went well, and vanish otherwise.
+
+    Made at once, so that a folder that cannot be written is found out before the work.
+    """
+    target = Path(path)
+    made = not target.exists()
+    temporary = None
+    try:
+        try:
+            target.mkdir(parents=True, exist_ok=True)
+            temporary = Path(tempfile.mkdtemp(dir=target, prefix=".occlib."))
+        except OSError as error:
+            raise ValueError(f"{target}: cannot write ({error.strerror})") from None
+        yield temporary
+        try:
+            for file in sorted(p for p in temporary.rglob("*") if p.is_file()):
+                final = target / file.relative_to(temporary)
+                final.parent.mkdir(parents=True, exist_ok=True)
+                os.replace(file, final)
+        except OSError as error:
+            raise ValueError(f"{target}: cannot write ({error.strerror})") from None
+    finally:
+        if temporary:
+            shutil.rmtree(temporary, ignore_errors=True)
+        if made and target.is_dir() and not any(target.iterdir()):
+            target.rmdir()
+
+
 def read_yaml(path: str | Path) -> Any:
     """The content of a YAML file; ``ValueError`` in one line if it cannot be read or is not YAML."""
     try:
         return yaml.safe_load(Path(path).read_text(encoding="utf-8"))
     except OSError as error:
         raise ValueError(f"{path}: cannot read ({error.strerror})") from None
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
+    except (yaml.YAMLError, ValueError, RecursionError) as error:  # ValueError: not UTF-8, an impossible date
         raise ValueError(f"{path}: not valid YAML ({str(error).splitlines()[0]})") from None
 
 
@@ -80,7 +114,8 @@ def encode_image(suffix: str, image: Image, *, quality: int = 92) -> bytes:
     if image.dtype != np.uint8 or image.ndim not in (2, 3) or image.size == 0:
         raise ValueError(f"image: expected uint8 (H, W) or (H, W, 3), got {image.dtype} {image.shape}")
     bgr = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_RGB2BGR)
-    options = [cv2.IMWRITE_JPEG_QUALITY, quality] if suffix in (".jpg", ".jpeg") else []
+    jpeg = [cv2.IMWRITE_JPEG_QUALITY, quality, cv2.IMWRITE_JPEG_OPTIMIZE, 1]
+    options = jpeg if suffix in (".jpg", ".jpeg") else [cv2.IMWRITE_PNG_COMPRESSION, 9] if suffix == ".png" else []
     done, data = cv2.imencode(suffix, bgr, options)
     if not done:
         raise ValueError(f"image: cannot encode as {suffix}")
@@ -196,7 +231,8 @@ def open_recording(path: str | Path, cameras: Sequence[str] | None = None) -> Re
             sources[name], numbers[name] = tuple(pictures), _numbers(pictures)
         elif video is not None:
             count, video_fps = _video_length(video)
-            sources[name], numbers[name], fps = video, tuple(range(count)), fps or video_fps
+            sources[name], numbers[name] = video, tuple(range(count))
+            fps = video_fps if fps is None else fps
         else:
             raise ValueError(f"{folder}: no frames for camera {name!r} (expected frames/{name}/*.png|jpg or .mp4|avi)")
     first, *others = numbers
@@ -207,31 +243,32 @@ def open_recording(path: str | Path, cameras: Sequence[str] | None = None) -> Re
                 f"{other} has {_span(numbers[other])}"
             )
     fps = DEFAULT_FPS if fps is None else fps
-    if not isinstance(fps, int | float) or not 0 < fps < 1e6:
-        raise ValueError(f"{folder / 'rig.yaml'}: fps: expected frames a second > 0, got {fps!r}")
+    if not isinstance(fps, int | float) or isinstance(fps, bool) or not 1e-6 < fps < 1e6:
+        raise ValueError(f"{folder / 'rig.yaml'}: fps: expected frames a second > 0, got {repr(fps)[:40]}")
     return Recording(folder, rig, numbers[first], float(fps), sources)
 
 
 def parse_frames(text: str, frames: Sequence[int]) -> list[int]:
-    """Frame numbers chosen by ``start:stop:step`` (stop excluded) or a single number.
+    """Frame numbers chosen by ``start:stop:step`` (stop excluded, step at least 1) or a single number.
 
     >>> parse_frames("2:8:3", range(10))
     [2, 5]
     """
+    shown = repr(text if len(text) <= 40 else f"{text[:37]}...")
     try:
-        parts = [int(part) if part else None for part in text.split(":")]
-        if len(parts) == 1 and parts[0] is not None:
-            chosen = [frame for frame in frames if frame == parts[0]]
-        else:
-            start, stop, step = (*parts, None, None)[:3]
-            wanted = range(
-                min(frames) if start is None else start, max(frames) + 1 if stop is None else stop, step or 1
-            )
-            chosen = [frame for frame in frames if frame in wanted]
-    except (ValueError, TypeError):
-        raise ValueError(f"--frames: expected START:STOP:STEP, got {text!r}") from None
+        parts = [int(part) if part.strip() else None for part in text.split(":")]
+    except ValueError:
+        parts = []
+    if not 1 <= len(parts) <= 3 or parts == [None] or (len(parts) == 3 and parts[2] is not None and parts[2] < 1):
+        raise ValueError(f"--frames: expected a number or START:STOP:STEP with STEP > 0, got {shown}")
+    if len(parts) == 1:
+        chosen = [frame for frame in frames if frame == parts[0]]
+    else:
+        start, stop, step = (*parts, None)[:3]
+        wanted = range(min(frames) if start is None else start, max(frames) + 1 if stop is None else stop, step or 1)
+        chosen = [frame for frame in frames if frame in wanted]
     if not chosen:
-        raise ValueError(f"--frames: {text} selects none of the frames {min(frames)} to {max(frames)}")
+        raise ValueError(f"--frames: {shown} selects none of the frames {min(frames)} to {max(frames)}")
     return chosen
 
 

