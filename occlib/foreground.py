@@ -98,7 +98,8 @@ def average_background(images: Sequence[Image]) -> Background:
     mean = stack.mean(axis=0)
     noise = 0.0
     if len(stack) > 1:  # the median keeps a flickering lamp or a passing insect from counting
-        noise = float(np.sqrt(np.median(stack.var(axis=0, ddof=1))))
+        freedom = len(stack) - 1  # the median of chi-squared lies below its mean (Wilson and Hilferty 1931)
+        noise = float(np.sqrt(np.median(stack.var(axis=0, ddof=1)) / (1 - 2 / (9 * freedom)) ** 3))
     return Background(np.round(mean).astype(np.uint8), noise)
 
 
@@ -190,14 +191,16 @@ def intensity_gain_offset(image: Image, background: Image, *, step: int = 16) ->
     step = min(step, *image.shape[:2])  # at least one px of a tiny picture
     x = image[step // 2 :: step, step // 2 :: step].ravel().astype(np.float32)
     y = background[step // 2 :: step, step // 2 :: step].ravel().astype(np.float32)
-    residual = np.abs(y - x - np.median(y - x))
+    half = (x.size - 1) // 2
+    residual = np.abs(y - x - np.partition(y - x, half)[half])
     gain, offset = 1.0, 0.0
     for _ in range(3):
-        keep = residual <= np.median(residual)
+        keep = residual <= np.partition(residual, half)[half]
         xk, yk = x[keep], y[keep]
         mean_x, mean_y = float(xk.mean()), float(yk.mean())
-        variance = float(((xk - mean_x) ** 2).mean())
-        gain = float(((xk - mean_x) * (yk - mean_y)).mean()) / variance if variance > 25.0 else 1.0
+        xk -= mean_x
+        variance = float(xk @ xk) / len(xk)
+        gain = float(xk @ (yk - mean_y)) / len(xk) / variance if variance > 25.0 else 1.0
         gain = min(max(gain, 0.5), 2.0)
         offset = mean_y - gain * mean_x
         residual = np.abs(y - gain * x - offset)
@@ -264,7 +267,7 @@ THRESHOLDS: dict[str, Callable[[Image], float]] = {
 
 
 def threshold_level(difference: Image, threshold: str | float = "otsu", *, noise_floor: float = 0.0) -> float:
-    """The grey level above which a pixel is foreground, never below the noise floor.
+    """The grey level above which a pixel is foreground; one that is found by a rule is never below the noise floor.
 
     Otsu splits *every* picture in two, an empty one into noise and more noise. The noise floor is what lets an
     empty frame have no foreground.
@@ -274,7 +277,7 @@ def threshold_level(difference: Image, threshold: str | float = "otsu", *, noise
     difference
         uint8 (H, W).
     threshold
-        A name in :data:`THRESHOLDS`, ``"noise"`` (the noise floor itself) or grey levels >= 0.
+        A name in :data:`THRESHOLDS`, ``"noise"`` (the noise floor itself), or grey levels >= 0, taken as they are.
     noise_floor
         Grey levels, e.g. :attr:`Background.noise_floor`.
     """
@@ -287,7 +290,7 @@ def threshold_level(difference: Image, threshold: str | float = "otsu", *, noise
         return max(THRESHOLDS[threshold](difference), noise_floor)
     if not (np.isfinite(threshold) and threshold >= 0):
         raise ValueError(f"threshold: expected grey levels >= 0, got {threshold}")
-    return max(float(threshold), noise_floor)
+    return float(threshold)
 
 
 def foreground_mask(

@@ -9,6 +9,7 @@ from typing import Any
 import cv2
 import numpy as np
 import numpy.typing as npt
+from scipy.ndimage import find_objects
 
 from occlib.geometry import Camera, FloatArray, Mask, as_points
 
@@ -80,28 +81,25 @@ def find_regions(
     if width == 0:
         return labels, []
     window = np.s_[top : top + height, left : left + width]
-    count, found = _components(pixels[window])
+    # the default algorithm is faster but numbers by blocks of 2 x 2 px, this one in row-major order of the px
+    count, found = _components(pixels[window], cv2.CCL_WU)
     if join and count > 2:
-        count, found = _joined(
-            found, count, _bridge(pixels[window], join), [_open_rim(other)[window] for other in within]
-        )
+        found = _joined(found, count, _bridge(pixels[window], join), [_open_rim(other)[window] for other in within])
     regions: list[Region] = []
-    for value in range(1, count):
-        own = (found == value).view(np.uint8)
+    for value, (rows, columns) in enumerate(find_objects(found), start=1):
+        own = (found[rows, columns] == value).view(np.uint8)
         area = cv2.countNonZero(own)
         if area < max(min_area, 1):
             continue
-        moments = cv2.moments(own, binaryImage=True)
-        x, y, w, h = cv2.boundingRect(own)
-        centroid = (moments["m10"] / area + left, moments["m01"] / area + top)
-        regions.append(Region(len(regions) + 1, area, centroid, (left + x, top + y, w, h)))
-        labels[window][own.view(np.bool_)] = len(regions)
+        moments, x, y = cv2.moments(own, binaryImage=True), left + columns.start, top + rows.start
+        centroid = (moments["m10"] / area + x, moments["m01"] / area + y)
+        regions.append(Region(len(regions) + 1, area, centroid, (x, y, own.shape[1], own.shape[0])))
+        labels[y : y + own.shape[0], x : x + own.shape[1]][own.view(np.bool_)] = len(regions)
     return labels, regions
 
 
-def _components(pixels: npt.NDArray[Any]) -> tuple[int, npt.NDArray[np.int32]]:
-    # the default algorithm scans blocks of 2 x 2 px and numbers by block, this one in row-major order of the px
-    count, labels = cv2.connectedComponentsWithAlgorithm(pixels, 8, cv2.CV_32S, cv2.CCL_WU)
+def _components(pixels: npt.NDArray[Any], algorithm: int = cv2.CCL_DEFAULT) -> tuple[int, npt.NDArray[np.int32]]:
+    count, labels = cv2.connectedComponentsWithAlgorithm(pixels, 8, cv2.CV_32S, algorithm)
     return count, np.asarray(labels, dtype=np.int32)
 
 
@@ -110,7 +108,7 @@ def _joined(
     count: int,
     bridged: npt.NDArray[np.uint8],
     within: Sequence[npt.NDArray[np.int32]],
-) -> tuple[int, npt.NDArray[np.int32]]:
+) -> npt.NDArray[np.int32]:
     """Relabel fragments: one number for those that the bridged mask and every mask of ``within`` connect."""
     first = np.full(count, -1)
     flat = fragments.ravel()
@@ -120,7 +118,7 @@ def _joined(
     renumber = [0] + [
         groups.setdefault(tuple(int(c.flat[first[i]]) for c in connections), len(groups) + 1) for i in range(1, count)
     ]
-    return len(groups) + 1, np.array(renumber, np.int32)[fragments]
+    return np.array(renumber, np.int32)[fragments]
 
 
 def _open_rim(mask: Mask) -> npt.NDArray[np.int32]:

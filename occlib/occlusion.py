@@ -90,8 +90,8 @@ def hidden_fractions(
     masks: Sequence[Mask],
     stations: Sequence[npt.ArrayLike],
     *,
-    rays: int = 24,
-    step: int = 2,
+    rays: int = 16,
+    step: int = 3,
 ) -> FloatArray:
     """How much of each object's base every camera has behind another object, from the floor map alone.
 
@@ -134,13 +134,10 @@ def hidden_fractions(
         line = np.asarray(station, float) - cells
         length = np.linalg.norm(line, axis=1)
         t = np.arange(step, min(length.max(), np.hypot(nx, ny)) + step, step)
-        points = (
-            cells[:, None]
-            + line[:, None] * (np.minimum(t, length[:, None]) / np.maximum(length[:, None], 1e-9))[..., None]
-        )
-        x, y = np.rint(points[..., 0]).astype(np.intp), np.rint(points[..., 1]).astype(np.intp)
+        share = np.minimum(t, length[:, None]) / np.maximum(length[:, None], 1e-9)
+        x, y = (np.rint(cells[:, None, i] + line[:, None, i] * share).astype(np.intp) for i in (0, 1))
         on_map = (x >= 0) & (y >= 0) & (x < nx) & (y < ny)
-        x, y = x.clip(0, nx - 1), y.clip(0, ny - 1)
+        x[~on_map] = y[~on_map] = 0
         unbroken = np.logical_and.accumulate(on_map & mask[y, x], axis=1)
         met = labels[y, x]
         hidden = (unbroken & (met > 0) & (met != own[:, None])).any(axis=1)

@@ -45,7 +45,7 @@ class Settings:
         ``"otsu"``, ``"half-otsu"``, ``"triangle"``, ``"noise"`` or grey levels; see
         :func:`occlib.foreground.threshold_level`.
     min_level
-        Grey levels below which nothing is foreground, whatever the threshold and the noise floor.
+        Grey levels that a threshold found by a rule is never below.
     warp_difference
         Warp the difference and threshold it on the floor, rather than warp the thresholded mask.
     rule

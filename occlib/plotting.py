@@ -66,7 +66,8 @@ def show_views_on_floor(ax: Axes, views: Mapping[str, Mask], floor: Floor, title
     canvas = np.ones((*floor.shape, 3))
     for name, mask in views.items():
         canvas[mask] *= 0.35 + 0.65 * np.array(to_rgb(colours[name]))
-    canvas[np.all(list(views.values()), axis=0)] = 0.1
+    if len(views) > 1:
+        canvas[np.all(list(views.values()), axis=0)] = 0.1
     show_floor(ax, canvas, floor, title)
     for name, colour in colours.items():
         ax.plot([], [], "s", color=colour, label=f"{name} only")

@@ -216,7 +216,8 @@ def open_recording(path: str | Path, cameras: Sequence[str] | None = None) -> Re
         In one line: no such folder, unreadable rig, a camera that is not in the rig or has no frames,
         views of different length.
     """
-    folder = next((p for p in (Path(path), LAB / path, cache_folder() / path) if p.is_dir()), None)
+    places = [place for place in (Path(path), LAB / path, cache_folder() / path) if place.is_dir()]
+    folder = next((place for place in places if (place / "rig.yaml").exists()), next(iter(places), None))
     if folder is None:
         known = ", ".join(sorted(p.parent.name for p in LAB.glob("*/rig.yaml")))
         raise ValueError(f"{path}: no such recording folder (data/lab has {known})")

@@ -51,7 +51,9 @@ def main() -> None:
         before = median_ms(bare)
         whole = median_ms(lambda p=pipeline, c=clock: p.process(images, next(c) / 10))  # type: ignore[misc]
         reference = (before + median_ms(bare)) / 2
-        rows.append({"profile": profile, "bare OpenCV (ms)": reference, "pipeline (ms)": whole, "ratio": whole / reference})
+        rows.append(
+            {"profile": profile, "bare OpenCV (ms)": reference, "pipeline (ms)": whole, "ratio": whole / reference}
+        )
     print(f"one VGA pair to a {nx} x {ny} map, one thread, OpenCV {cv2.__version__}")
     print(pd.DataFrame(rows).round(2).to_string(index=False))
 

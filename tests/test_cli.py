@@ -1,0 +1,655 @@
+"""The command line: what ``run`` writes, what ``evaluate`` prints, and one line for whatever is wrong with the input."""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+import yaml
+
+from occlib import __version__
+from occlib.cli import build_parser, main
+from occlib.pipeline import PROFILES
+
+Array = np.ndarray[Any, Any]
+Damage = Callable[[Path], object]
+RESULTS = ("objects.jsonl", "map.pgm", "map.yaml", "overview.png")
+
+
+def error_lines(capture: pytest.CaptureFixture[str]) -> list[str]:
+    """What a command said on stderr, progress bars aside."""
+    lines = re.split(r"[\r\n]+", capture.readouterr().err)
+    return [line for line in lines if line.strip() and not re.search(r"\d+%\||frame/s|file/s", line)]
+
+
+def fails(capture: pytest.CaptureFixture[str], *arguments: object) -> str:
+    """The one line on stderr of a command that must fail, without its ``occlib COMMAND: ``."""
+    capture.readouterr()
+    assert main([str(a) for a in arguments]) not in (0, None)
+    lines = error_lines(capture)
+    assert len(lines) == 1, lines
+    start = f"occlib {arguments[0]}: "
+    assert lines[0].startswith(start)
+    assert len(lines[0]) < 400
+    assert not re.search("Traceback|Errno", lines[0])
+    return lines[0].removeprefix(start)
+
+
+def run(recording: Path, out: Path, *options: object) -> list[dict[str, Any]]:
+    """``occlib run`` that must succeed: the lines of objects.jsonl."""
+    assert main(["run", str(recording), "--out", str(out), *map(str, options)]) == 0
+    return [json.loads(line) for line in (out / "objects.jsonl").read_text(encoding="utf-8").splitlines()]
+
+
+def snapshot(folder: Path) -> dict[str, bytes]:
+    return {str(p.relative_to(folder)): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
+
+
+def read_pgm(path: Path) -> Array:
+    magic, size, depth, pixels = path.read_bytes().split(b"\n", 3)
+    width, height = map(int, size.split())
+    assert (magic, depth, len(pixels)) == (b"P5", b"255", width * height)
+    return np.frombuffer(pixels, np.uint8).reshape(height, width)
+
+
+# --- help ------------------------------------------------------------------------------------------
+def commands() -> list[str]:
+    return list(next(a for a in build_parser()._actions if isinstance(a.choices, dict)).choices)  # type: ignore[arg-type]
+
+
+def test_the_commands_of_the_contract_are_there() -> None:
+    assert {"reproduce", "run", "evaluate", "calibrate", "render", "data"} <= set(commands())
+
+
+@pytest.mark.parametrize("command", [[], *([name] for name in commands())])
+def test_help(command: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as leave:
+        main([*command, "--help"])
+    assert leave.value.code == 0
+    assert capsys.readouterr().out.startswith(" ".join(["usage: occlib", *command]))
+
+
+def test_version(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as leave:
+        main(["--version"])
+    assert leave.value.code == 0
+    assert capsys.readouterr().out == f"occlib {__version__}\n"
+
+
+@pytest.mark.parametrize("arguments", [[], ["fly"], ["run"], ["run", "x"], ["evaluate", "x"], ["run", "x", "--out"]])
+def test_wrong_usage(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as leave:
+        main(arguments)
+    assert leave.value.code == 2
+    assert "occlib" in capsys.readouterr().err.splitlines()[-1]
+
+
+# --- run -------------------------------------------------------------------------------------------
+def test_run_writes_the_contract(tiny_recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    lines = run(tiny_recording, tmp_path / "out")
+    said = capsys.readouterr()
+    assert "5 frames" in said.out
+    assert "100%" in said.err  # progress
+    assert sorted(p.name for p in (tmp_path / "out").iterdir()) == sorted(RESULTS)
+    assert [(line["frame"], line["time"]) for line in lines] == [(i, pytest.approx(i / 10)) for i in range(5)]
+    for i, line in enumerate(lines):
+        assert list(line) == ["frame", "time", "objects"]
+        assert len(line["objects"]) == 2
+        for thing in line["objects"]:
+            assert list(thing) == ["id", "x", "y", "vx", "vy", "area", "colour", "label", "hidden_in"]
+            assert isinstance(thing["id"], int)
+            assert all(isinstance(thing[key], float) for key in ("x", "y", "vx", "vy", "area"))
+            assert len(thing["colour"]) == 3
+            assert all(isinstance(level, int) and 0 <= level <= 255 for level in thing["colour"])
+            assert thing["label"] is None
+            assert thing["hidden_in"] == []
+            assert thing["area"] > 0.16  # AND never claims less than the footprint
+        a, b = sorted(line["objects"], key=lambda thing: thing["y"])
+        assert np.hypot(a["x"] - (1.2 + 0.1 * i), a["y"] - 0.9) < 0.05
+        assert np.hypot(b["x"] - 2.6, b["y"] - 2.1) < 0.05
+        assert a["colour"][0] > a["colour"][2] + 50  # A is red, B is blue: RGB
+        assert b["colour"][2] > b["colour"][0] + 20
+    assert len({line["objects"][0]["id"] for line in lines}) == 1
+    assert lines[-1]["objects"][0]["vx"] == pytest.approx(1.0, abs=0.2)  # 0.1 m a frame at 10 fps
+
+
+def test_run_writes_a_map_for_map_server(tiny_recording: Path, tmp_path: Path) -> None:
+    run(tiny_recording, tmp_path / "out")
+    fields = yaml.safe_load((tmp_path / "out/map.yaml").read_text())
+    assert fields["image"] == "map.pgm"
+    assert fields["resolution"] == 0.05
+    assert fields["origin"] == [0, 0, 0]
+    grey = read_pgm(tmp_path / "out/map.pgm")
+    assert grey.shape == (60, 80)
+    for x, y, occupied in [(1.6, 0.9, True), (2.6, 2.1, True), (1.6, 2.1, False), (2.6, 0.9, False), (0.3, 0.3, False)]:
+        assert (grey[59 - int(y / 0.05), int(x / 0.05)] < 50) == occupied  # row 0 is the largest y
+    assert (grey < 50).mean() < 0.2
+
+
+def test_run_draws_an_overview(tiny_recording: Path, tmp_path: Path) -> None:
+    run(tiny_recording, tmp_path / "out")
+    picture = cv2.imread(str(tmp_path / "out/overview.png"))
+    assert picture is not None
+    assert min(picture.shape[:2]) > 200
+    assert picture.std() > 10
+
+
+def test_maps_of_every_frame(tiny_recording: Path, tmp_path: Path) -> None:
+    run(tiny_recording, tmp_path / "out", "--maps")
+    names = sorted(p.name for p in (tmp_path / "out/maps").iterdir())
+    assert names == [f"{i:06d}.{suffix}" for i in range(5) for suffix in ("pgm", "yaml")]
+    assert yaml.safe_load((tmp_path / "out/maps/000003.yaml").read_text())["image"] == "000003.pgm"
+    assert (tmp_path / "out/maps/000004.pgm").read_bytes() == (tmp_path / "out/map.pgm").read_bytes()
+    assert (tmp_path / "out/maps/000000.pgm").read_bytes() != (tmp_path / "out/map.pgm").read_bytes()
+
+
+@pytest.mark.parametrize(("text", "frames"), [("1:4:2", [1, 3]), ("2", [2]), ("3:", [3, 4]), (":", [0, 1, 2, 3, 4])])
+def test_frames_chosen(tiny_recording: Path, tmp_path: Path, text: str, frames: list[int]) -> None:
+    lines = run(tiny_recording, tmp_path / "out", "--frames", text)
+    assert [line["frame"] for line in lines] == frames
+    assert lines[0]["time"] == pytest.approx(frames[0] / 10)
+
+
+def test_cameras_chosen(tiny_recording: Path, tmp_path: Path) -> None:
+    both = run(tiny_recording, tmp_path / "both", "--cameras", "right", "left")
+    one = run(tiny_recording, tmp_path / "one", "--cameras", "right")
+    areas = [sum(thing["area"] for thing in lines[0]["objects"]) for lines in (both, one)]
+    assert areas[1] > 1.5 * areas[0]  # one lamp's shadow is far larger than the object
+
+
+def test_rule_or_claims_all_shadows(tiny_recording: Path, tmp_path: Path) -> None:
+    maps = []
+    for rule in ("and", "or"):
+        run(tiny_recording, tmp_path / rule, "--rule", rule)
+        maps.append(read_pgm(tmp_path / rule / "map.pgm") < 50)
+    assert maps[1].sum() > 1.5 * maps[0].sum()
+    assert (maps[1] | ~maps[0]).all()
+
+
+def test_profile_paper_is_another_chain(tiny_recording: Path, tmp_path: Path) -> None:
+    found = [run(tiny_recording, tmp_path / name, "--profile", name) for name in PROFILES]
+    assert found[0] != found[1]
+    for lines in found:
+        for line in lines:
+            nearest = [min(np.hypot(t["x"] - 2.6, t["y"] - 2.1) for t in line["objects"])]
+            assert max(nearest) < 0.1
+
+
+def test_threshold_by_name_and_by_number(tiny_recording: Path, tmp_path: Path) -> None:
+    areas = {}
+    for threshold in ("20", "90", "otsu", "triangle", "noise", "1e9"):
+        lines = run(tiny_recording, tmp_path / threshold, "--threshold", threshold, "--frames", "0")
+        areas[threshold] = sum(thing["area"] for thing in lines[0]["objects"])
+    assert areas["20"] > areas["90"] > areas["1e9"] == 0
+    assert areas["otsu"] > 0
+    assert areas["otsu"] != areas["20"]
+    assert (tmp_path / "1e9/map.pgm").is_file()  # nothing found is a result
+
+
+def test_the_hidden_object_says_where_it_is_hidden(tiny_recording: Path, tmp_path: Path, draw: Any, box: Any) -> None:
+    # B stands in A's shadow as seen from the left; from the right it stands free, before A.
+    a, b = box("A", 1.6, 1.5, side=0.5, height=0.8), box("B", 2.6, 1.5, side=0.2, height=0.2)
+    assert np.array_equal(draw([b, a])["left"], draw([a])["left"])
+    for name, image in draw([b, a]).items():
+        for path in (tiny_recording / "frames" / name).iterdir():
+            assert cv2.imwrite(str(path), image[..., ::-1])
+    for line in run(tiny_recording, tmp_path / "out"):
+        hidden = {thing["hidden_in"] == ["left"]: thing for thing in line["objects"]}
+        assert len(line["objects"]) == len(hidden) == 2
+        for found, true in ((hidden[True], b), (hidden[False], a)):  # pulled towards the shadow, but not far
+            assert np.hypot(found["x"] - true.x, found["y"] - true.y) < 0.2
+
+
+def test_the_same_run_twice_gives_the_same_bytes(tiny_recording: Path, tmp_path: Path) -> None:
+    for name in ("first", "second"):
+        run(tiny_recording, tmp_path / name, "--maps")
+    first, second = snapshot(tmp_path / "first"), snapshot(tmp_path / "second")
+    assert list(first) == list(second)
+    for name in first:
+        assert first[name] == second[name], name
+
+
+def test_a_second_run_replaces_the_first(tiny_recording: Path, tmp_path: Path) -> None:
+    run(tiny_recording, tmp_path / "out", "--frames", "0")
+    assert len(run(tiny_recording, tmp_path / "out")) == 5
+    assert sorted(snapshot(tmp_path / "out")) == sorted(RESULTS)
+
+
+def test_run_learns_a_background_that_is_missing(tiny_recording: Path, tmp_path: Path) -> None:
+    shutil.rmtree(tiny_recording / "background")
+    (tiny_recording / "truth.json").unlink()
+    assert len(run(tiny_recording, tmp_path / "out")) == 5
+
+
+# --- evaluate --------------------------------------------------------------------------------------
+def test_evaluate_as_json(tiny_recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    run(tiny_recording, tmp_path / "out")
+    files = [str(tmp_path / "out/objects.jsonl"), str(tiny_recording / "truth.json")]
+    scores = {}
+    for name, options in {"all": [], "roi": ["--roi", "south"], "near": ["--radius", "0.001"]}.items():
+        capsys.readouterr()
+        assert main(["evaluate", *files, "--json", *options]) == 0
+        said = capsys.readouterr()
+        assert said.err == ""
+        scores[name] = json.loads(said.out)
+    keys = {"moda", "modp", "precision", "recall", "error_mean_m", "error_median_m"}
+    assert all(keys <= set(score) for score in scores.values())
+    assert scores["all"]["moda"] == scores["all"]["precision"] == scores["all"]["recall"] == 1
+    assert scores["all"]["error_median_m"] < 0.05
+    assert (scores["all"]["truth_count"], scores["roi"]["truth_count"]) == (10, 5)
+    assert scores["near"]["moda"] < 0
+
+
+def test_evaluate_as_a_table(tiny_recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "objects.jsonl").write_text('{"frame": 0, "objects": []}\n')
+    assert main(["evaluate", str(tmp_path / "objects.jsonl"), str(tiny_recording / "truth.json")]) == 0
+    table = dict(line.split() for line in capsys.readouterr().out.splitlines())
+    assert table["recall"] == "0"
+    assert table["error_mean_m"] == "-"  # undefined, not NaN
+
+
+GOOD = '{"frame": 0, "objects": [{"id": 1, "x": 1, "y": 1}]}\n'
+TRUTH = '{"frames": {"0": [{"id": "A", "x": 1, "y": 1}]}, "roi": {"all": [[0, 0], [2, 0], [2, 2]]}}'
+
+
+@pytest.mark.parametrize(
+    ("objects", "truth", "options", "message"),
+    [
+        (None, TRUTH, [], r"objects.jsonl: cannot read \(No such file"),
+        (GOOD, None, [], r"truth.json: cannot read \(No such file"),
+        ("{", TRUTH, [], "objects.jsonl:1: not valid JSON"),
+        (GOOD + "[]", TRUTH, [], "objects.jsonl:2: expected an object with an integer 'frame'"),
+        (GOOD + GOOD, TRUTH, [], "objects.jsonl:2: frame 0 comes twice"),
+        ('{"frame": 0}', TRUTH, [], "objects.jsonl:1: objects: expected a list, got NoneType"),
+        ("[" * 50_000, TRUTH, [], "objects.jsonl:1: not valid JSON"),
+        ("\x89PNG\r\n", TRUTH, [], "objects.jsonl:1: not valid JSON"),
+        (
+            GOOD.replace('"id": 1', '"id": [1]'),
+            TRUTH,
+            [],
+            r"objects.jsonl:1: objects\[0\].id: expected a name or number",
+        ),
+        (GOOD.replace('"x": 1', '"x": NaN'), TRUTH, [], r"objects.jsonl:1: objects\[0\].x: expected finite metres"),
+        (GOOD, "[]", [], "truth.json: truth: expected a mapping with 'units' and 'frames'"),
+        (GOOD, "null", [], "truth.json: truth: expected a mapping"),
+        (GOOD, "", [], "truth.json: not valid JSON"),
+        (GOOD, '{"frames": []}', [], "truth.json: truth: expected a mapping"),
+        (GOOD, '{"frames": {"a": []}}', [], "truth.json: truth.frames: expected whole numbers as keys, got 'a'"),
+        (GOOD, '{"frames": {}, "roi": 5}', [], "truth.json: roi: expected a mapping of names to polygons, got int"),
+        (GOOD, '{"frames": {}, "roi": {"a": 5}}', [], "truth.json: roi 'a': expected three or more finite points"),
+        (GOOD, TRUTH.replace('"A"', "{}"), [], r"truth.json: truth.frames.0\[0\].id: expected a name or number"),
+        (GOOD, TRUTH, ["--roi", "none"], "roi: 'none' is not in the truth, which has all"),
+        (GOOD, TRUTH, ["--radius", "0"], "radius: expected metres > 0, got 0"),
+        (GOOD, TRUTH, ["--radius", "nan"], "radius: expected metres > 0, got nan"),
+    ],
+)
+def test_evaluate_says_what_is_wrong(
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    objects: str | None,
+    truth: str | None,
+    options: Sequence[str],
+    message: str,
+) -> None:
+    for name, content in {"objects.jsonl": objects, "truth.json": truth}.items():
+        if content is not None:
+            (tmp_path / name).write_text(content, encoding="utf-8")
+    assert re.search(message, fails(capsys, "evaluate", tmp_path / "objects.jsonl", tmp_path / "truth.json", *options))
+    assert capsys.readouterr().out == ""
+
+
+# --- run on bad input ------------------------------------------------------------------------------
+def picture(name: str, content: bytes | Array) -> Damage:
+    """Put something else in the place of a picture."""
+
+    def change(folder: Path) -> None:
+        if isinstance(content, bytes):
+            (folder / name).write_bytes(content)
+        else:
+            assert cv2.imwrite(str(folder / name), content)
+
+    return change
+
+
+def cut(name: str) -> Damage:
+    return lambda folder: (folder / name).write_bytes((folder / name).read_bytes()[:150])
+
+
+def folder_for(name: str) -> Damage:
+    def change(folder: Path) -> None:
+        (folder / name).unlink()
+        (folder / name).mkdir()
+
+    return change
+
+
+def text(name: str, content: str) -> Damage:
+    return lambda folder: (folder / name).write_text(content, encoding="utf-8")
+
+
+def rig(**fields: Any) -> Damage:
+    """Change fields of the left camera, or of the rig itself."""
+
+    def change(folder: Path) -> None:
+        content = yaml.safe_load((folder / "rig.yaml").read_text())
+        for name, value in fields.items():
+            (content["cameras"]["left"] if name in content["cameras"]["left"] else content)[name] = value
+        (folder / "rig.yaml").write_text(yaml.safe_dump(content))
+
+    return change
+
+
+def video(content: bytes) -> Damage:
+    def change(folder: Path) -> None:
+        shutil.rmtree(folder / "frames/left")
+        (folder / "frames/left.mp4").write_bytes(content)
+
+    return change
+
+
+def gone(name: str) -> Damage:
+    return lambda f: shutil.rmtree(f / name) if (f / name).is_dir() else (f / name).unlink()
+
+
+SMALL = np.zeros((60, 80, 3), np.uint8)
+FOOTPRINT = '{"frames": {"4": [{"x": 1, "y": 1, "footprint": %s}]}}'
+NO_LENGTH = {"x": [0, 4], "y": [0, 3], "resolution": 1e-320}
+
+BAD_RECORDINGS: dict[str, tuple[Damage, str]] = {
+    "no rig": (gone("rig.yaml"), r"rig.yaml: cannot read the rig \(No such file"),
+    "rig is a folder": (folder_for("rig.yaml"), r"rig.yaml: cannot read the rig \(Is a directory"),
+    "rig empty": (text("rig.yaml", ""), "rig.yaml: expected a mapping with 'units', 'floor' and 'cameras'"),
+    "rig is a list": (text("rig.yaml", "- 1"), "rig.yaml: expected a mapping"),
+    "rig not YAML": (text("rig.yaml", "a: [1"), "rig.yaml: not valid YAML"),
+    "rig too deep": (text("rig.yaml", "[" * 20_000), "rig.yaml: not valid YAML"),
+    "rig with an impossible date": (text("rig.yaml", "a: 2001-99-99"), "rig.yaml: not valid YAML"),
+    "no cameras": (rig(cameras={}), "rig.yaml: expected a mapping with 'units', 'floor' and 'cameras'"),
+    "fps negative": (rig(fps=-1), "rig.yaml: fps: expected frames a second > 0, got -1"),
+    "fps in words": (rig(fps="ten"), "rig.yaml: fps: expected frames a second > 0, got 'ten'"),
+    "fps tiny": (rig(fps=1e-300), "rig.yaml: fps: expected"),
+    "size of floats": (rig(size=[160.5, 120]), r"rig.yaml: cameras.left.size: expected \[width, height\] in px"),
+    "size another": (
+        rig(size=[80, 60]),
+        r"background/left/0.png: expected uint8 \(60, 80, 3\), got uint8 \(120, 160, 3",
+    ),
+    "size huge": (rig(size=[1e300, 1]), "rig.yaml: cameras.left.size: expected"),
+    "matrix NaN": (rig(matrix=[[float("nan")] * 3] * 3), "rig.yaml: cameras.left.matrix: expected 3x3 finite numbers"),
+    "homography singular": (rig(floor_homography=[[0] * 3] * 3), "left.floor_homography: expected an invertible"),
+    "homography huge": (rig(floor_homography=(np.eye(3) * 1e200).tolist()), "left.floor_homography: expected an inv"),
+    "floor endless": (rig(floor=NO_LENGTH), "rig.yaml: floor: .* cells are too many"),
+    "no frames": (gone("frames"), "no frames for camera 'left'"),
+    "views of different length": (gone("frames/left/0004.png"), "views of different length or names: left has 4 fr"),
+    "a gap in one view": (gone("frames/left/0002.png"), r"different length or names: left has 4 frames \(0 to 4\)"),
+    "frame of zero bytes": (picture("frames/left/0002.png", b""), "left/0002.png: corrupt or not an image"),
+    "frame of text": (picture("frames/left/0002.png", b"hello"), "left/0002.png: corrupt or not an image"),
+    "frame cut short": (cut("frames/right/0002.png"), "right/0002.png: corrupt or not an image"),
+    "frame is a folder": (folder_for("frames/left/0001.png"), r"left/0001.png: cannot read the image \(Is a dir"),
+    "frame of the wrong size": (
+        picture("frames/left/0003.png", SMALL),
+        r"tiny frame 3 of left: expected uint8 \(120, 1",
+    ),
+    "last frame corrupt": (picture("frames/right/0004.png", b"x" * 500), "right/0004.png: corrupt"),
+    "video of zero bytes": (video(b""), "frames/left.mp4: corrupt or empty video"),
+    "video of garbage": (video(b"x" * 1000), "frames/left.mp4: corrupt or empty video"),
+    "background corrupt": (picture("background/left/0.png", b"x"), "background/left/0.png: corrupt"),
+    "background of the wrong size": (picture("background/left/0.png", SMALL), "background/left/0.png: expected uint8"),
+    "truth is a list": (text("truth.json", "[]"), "truth.json: truth: expected a mapping"),
+    "truth not JSON": (text("truth.json", "{"), "truth.json: not valid JSON"),
+    "truth too deep": (text("truth.json", "[" * 50_000), "truth.json: not valid JSON"),
+    "truth is a folder": (folder_for("truth.json"), r"truth.json: cannot read \(Is a directory"),
+    "footprint a number": (text("truth.json", FOOTPRINT % 5), r"truth.frames.4\[0\].footprint: expected three or more"),
+    "footprint a word": (text("truth.json", FOOTPRINT % '"a"'), r"truth.frames.4\[0\].footprint: expected three"),
+    "footprint ragged": (text("truth.json", FOOTPRINT % "[[1, 2], [3]]"), r"frames.4\[0\].footprint: expected three"),
+}
+
+
+@pytest.mark.parametrize("what", BAD_RECORDINGS)
+def test_run_says_what_is_wrong_and_leaves_no_trace(
+    tiny_recording: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str], what: str
+) -> None:
+    damage, message = BAD_RECORDINGS[what]
+    damage(tiny_recording)
+    said = fails(capfd, "run", tiny_recording, "--out", tmp_path / "out", "--maps")
+    assert re.search(message, said), said
+    assert capfd.readouterr().out == ""
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--cameras", "left", "top"], "camera 'top' is not in the rig; it has left, right"),
+        (["--cameras", "left", "left"], "cameras: expected one or more different names, got"),
+        (["--frames", "5:1"], "--frames: '5:1' selects none of the frames 0 to 4"),
+        (["--frames", "99"], "--frames: '99' selects none of the frames 0 to 4"),
+        (["--frames", "abc"], "--frames: expected a number or START:STOP:STEP with STEP > 0, got 'abc'"),
+        (["--frames", "::0"], "--frames: expected a number or START:STOP:STEP with STEP > 0, got '::0'"),
+        (["--frames", ""], "--frames: expected a number or START:STOP:STEP with STEP > 0, got ''"),
+        (["--threshold", "nonsense"], "threshold: expected otsu, .* or grey levels, got 'nonsense'"),
+        (["--threshold=-5"], "threshold: expected grey levels >= 0, got -5"),
+        (["--threshold", "nan"], "threshold: expected grey levels >= 0, got nan"),
+        (["--rule", "xor"], "rule: expected one of and, or.*, got 'xor'"),
+        (["--profile", "best"], "profile: expected one of recommended, paper, got 'best'"),
+    ],
+)
+def test_run_says_which_option_is_wrong(
+    tiny_recording: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str], options: list[str], message: str
+) -> None:
+    said = fails(capfd, "run", tiny_recording, "--out", tmp_path / "out", *options)
+    assert re.search(message, said), said
+    assert not (tmp_path / "out").exists()
+
+
+def test_run_on_no_recording(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    said = fails(capfd, "run", tmp_path / "nowhere", "--out", tmp_path / "out")
+    assert "nowhere: no such recording folder" in said
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_corrupt_image_leaves_the_last_results(
+    tiny_recording: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    run(tiny_recording, out, "--maps")
+    before = snapshot(out)
+    picture("frames/left/0003.png", b"")(tiny_recording)
+    assert "left/0003.png: corrupt" in fails(capfd, "run", tiny_recording, "--out", out, "--maps", "--rule", "or")
+    assert snapshot(out) == before
+    assert len(run(tiny_recording, out, "--frames", "0:3")) == 3  # frames that nobody asked for may be broken
+
+
+@pytest.mark.parametrize("below", ["", "below", "below/deep"])
+def test_out_that_is_a_file(
+    tiny_recording: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str], below: str
+) -> None:
+    (tmp_path / "file").write_text("keep")
+    said = fails(capfd, "run", tiny_recording, "--out", tmp_path / "file" / below)
+    assert re.search(r"file.*: cannot write \((File exists|Not a directory)", said), said
+    assert (tmp_path / "file").read_text() == "keep"
+
+
+def test_out_that_is_read_only(tiny_recording: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    locked = tmp_path / "locked"
+    locked.mkdir(mode=0o555)
+    if os.access(locked, os.W_OK):
+        pytest.skip("this user may write to read-only folders")
+    for out in (locked, locked / "new"):
+        assert "cannot write (Permission denied)" in fails(capfd, "run", tiny_recording, "--out", out)
+    assert not list(locked.iterdir())
+
+
+def test_read_only_as_told_by_the_system(
+    tiny_recording: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*args: Any, **options: Any) -> Any:
+        raise OSError(errno.EROFS, os.strerror(errno.EROFS))
+
+    monkeypatch.setattr("occlib.recordings.tempfile.mkdtemp", refuse)
+    said = fails(capfd, "run", tiny_recording, "--out", tmp_path / "out")
+    assert said == f"{tmp_path / 'out'}: cannot write (Read-only file system)"
+    assert not (tmp_path / "out").exists()
+
+
+class Full:
+    """A file on a full disk: takes the first bytes and then no more."""
+
+    def __init__(self, handle: int) -> None:
+        self.handle = handle
+
+    def __enter__(self) -> Full:
+        return self
+
+    def __exit__(self, *reason: object) -> None:
+        os.close(self.handle)
+
+    def write(self, content: bytes) -> int:
+        os.write(self.handle, content[: len(content) // 2])
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+
+@pytest.mark.parametrize("how", ["fdopen", "replace"])
+@pytest.mark.parametrize("files", range(4))
+@pytest.mark.parametrize("fresh", [True, False])
+def test_a_disk_that_fills_up(
+    tiny_recording: Path,
+    tmp_path: Path,
+    capfd: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    how: str,
+    files: int,
+    fresh: bool,
+) -> None:
+    """After so many files there is no room for the next: no new file, no temporary one, and the old results stay."""
+    out, room = tmp_path / "out", files
+    for name in () if fresh else RESULTS:
+        out.mkdir(exist_ok=True)
+        (out / name).write_text("of the last run")
+    before = snapshot(tmp_path)
+    real = getattr(os, how)
+
+    def limited(*args: Any, **options: Any) -> Any:
+        nonlocal room
+        room -= 1
+        if room >= 0:
+            return real(*args, **options)
+        if how == "fdopen":
+            return Full(args[0])
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    with monkeypatch.context() as patch:
+        patch.setattr(f"occlib.recordings.os.{how}", limited)
+        said = fails(capfd, "run", tiny_recording, "--out", out, "--frames", "1:3")
+    assert "cannot write (No space left on device)" in said
+    assert snapshot(tmp_path) == before
+    assert out.exists() == (not fresh)
+
+
+def test_interrupted_run(
+    tiny_recording: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupt(*args: Any) -> Any:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("occlib.pipeline.Pipeline.process", interrupt)
+    assert main(["run", str(tiny_recording), "--out", str(tmp_path / "out")]) == 130
+    assert error_lines(capfd) == ["occlib run: interrupted"]
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_reader_that_leaves_is_no_error() -> None:
+    command = [
+        sys.executable,
+        "-c",
+        "import sys; from occlib.cli import main; input(); sys.exit(main(['data', 'list']))",
+    ]
+    pipes: Any = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    with subprocess.Popen(command, text=True, **pipes) as process:
+        assert process.stdin and process.stdout and process.stderr
+        process.stdout.close()
+        process.stdin.write("\n")
+        process.stdin.close()
+        assert process.stderr.read() == ""
+        assert process.wait(30) == 141
+
+
+# --- the other commands ----------------------------------------------------------------------------
+def test_calibrate_on_real_photographs(
+    shared_data: Callable[[str], Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    images = sorted(map(str, shared_data("opencv-checkerboard").glob("left*.jpg")))
+    out = tmp_path / "camera.yaml"
+    assert main(["calibrate", *images, "--pattern", "9x6", "--square", "0.025", "--out", str(out)]) == 0
+    said = capsys.readouterr().out
+    assert f"{len(images)} of {len(images)} pictures used" in said
+    fields = yaml.safe_load(out.read_text())
+    assert {"size", "matrix", "distortion", "rms_px", "views_used"} <= set(fields)
+    assert fields["size"] == [640, 480]
+    assert fields["rms_px"] <= 0.41
+    assert abs(fields["matrix"][0][0] - 535.9) <= 2
+    assert len(fields["distortion"]) == 5
+    assert fields["views_used"] == len(images)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--pattern", "9"], "--pattern: expected COLUMNSxROWS inner corners such as 9x6, got '9'"),
+        (["--pattern", "9x6x2"], "--pattern: expected COLUMNSxROWS"),
+        (["--pattern", "²x6"], "--pattern: expected COLUMNSxROWS"),
+        (["--pattern", "1x1"], "pattern: expected .* 3 or more each, got .1, 1"),
+        (["--square", "0"], "square: expected metres > 0, got 0"),
+        (["--square", "nan"], "square: expected metres > 0, got nan"),
+        (["--square", "1e308"], r"square: expected metres > 0.*, got 1e\+308"),
+    ],
+)
+def test_calibrate_says_what_is_wrong(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], options: list[str], message: str
+) -> None:
+    image = tmp_path / "grey.png"
+    assert cv2.imwrite(str(image), np.full((60, 80), 128, np.uint8))
+    given = {"--pattern": "9x6", "--square": "0.025"} | dict([options])
+    flat = [part for pair in given.items() for part in pair]
+    assert re.search(message, fails(capfd, "calibrate", image, *flat, "--out", tmp_path / "camera.yaml"))
+    assert not (tmp_path / "camera.yaml").exists()
+
+
+@pytest.mark.parametrize("content", [None, b"", b"hello"])
+def test_calibrate_on_a_picture_that_is_none(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], content: bytes | None
+) -> None:
+    if content is not None:
+        (tmp_path / "board.png").write_bytes(content)
+    said = fails(capfd, "calibrate", tmp_path / "board.png", "--pattern", "9x6", "--square", "0.025")
+    assert re.search(r"board.png: (cannot read the image|corrupt or not an image)", said)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["data", "fetch"], "data fetch: expected a name, one of ufes-lab, opencv-checkerboard"),
+        (["data", "fetch", "nothing"], "nothing: not a public recording; there are ufes-lab, opencv-checkerboard"),
+        (["render", "nothing"], "nothing: cannot read"),
+        (["reproduce", "nothing"], "notebook 'nothing': expected one of|no notebook"),
+    ],
+)
+def test_other_commands_say_what_is_wrong(
+    capfd: pytest.CaptureFixture[str], arguments: list[str], message: str
+) -> None:
+    assert re.search(message, fails(capfd, *arguments))
+
+
+def test_data_list(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["data", "list"]) == 0
+    names = [line.partition(":")[0] for line in capsys.readouterr().out.splitlines()]
+    assert {"ufes-lab", "opencv-checkerboard"} <= set(names)

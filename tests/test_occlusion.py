@@ -1,0 +1,322 @@
+"""Two views, one map: the rules cell by cell, the umbra that holds every base, and who hides whom."""
+
+from __future__ import annotations
+
+from itertools import product
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from occlib.occlusion import fuse, hidden_fractions, truth_table
+
+Array = np.ndarray[Any, Any]
+LEFT = np.array([[True, True, False, False]])
+RIGHT = np.array([[True, False, True, False]])
+
+
+# --- rules -------------------------------------------------------------------------------------------------
+def test_and_and_or_on_all_four_rows() -> None:
+    assert fuse([LEFT, RIGHT]).tolist() == [[True, False, False, False]]
+    assert fuse([LEFT, RIGHT], "and").tolist() == [[True, False, False, False]]
+    assert fuse([LEFT, RIGHT], "or").tolist() == [[True, True, True, False]]
+    assert fuse([LEFT, RIGHT]).dtype == np.bool_
+
+
+def test_the_truth_table_is_complete_and_says_what_fuse_does() -> None:
+    table = truth_table()
+    assert {(row["left"], row["right"]) for row in table} == set(product([True, False], repeat=2))
+    for row in table:
+        assert row["output"] == fuse([np.array([[row["left"]]]), np.array([[row["right"]]])])[0, 0]
+    printed = {(row["left"], row["right"]): row["as printed"] for row in table}
+    assert "twice" in printed[False, False] and printed[True, False] == "missing"
+
+
+@given(arrays(bool, (3, 4, 5)))
+def test_the_order_of_the_views_does_not_matter_and_repeating_one_changes_nothing(views: Array) -> None:
+    for rule, numpys in (("and", np.logical_and), ("or", np.logical_or)):
+        expected = numpys.reduce(views)
+        np.testing.assert_array_equal(fuse(list(views), rule), expected)
+        np.testing.assert_array_equal(fuse(list(views[::-1]), rule), expected)
+        np.testing.assert_array_equal(fuse([*views, views[0]], rule), expected)
+    np.testing.assert_array_equal(fuse(list(views), "and"), ~fuse(list(~views), "or"))  # De Morgan
+
+
+@given(arrays(np.uint8, (2, 4, 5)), st.integers(0, 255))
+def test_thresholding_the_soft_result_equals_the_rule_on_the_thresholded_views(views: Array, level: int) -> None:
+    for rule in ("and", "or"):
+        soft = fuse(list(views), rule)
+        assert soft.dtype == np.uint8
+        np.testing.assert_array_equal(soft > level, fuse(list(views > level), rule))
+
+
+def test_three_views_of_float_evidence() -> None:
+    views = [np.array([[0.2, 0.9, -1.0]]), np.array([[0.5, 0.8, 3.0]]), np.array([[0.4, 0.7, 2.0]])]
+    assert fuse(views).tolist() == [[0.2, 0.7, -1.0]]
+    assert fuse(views, "or").tolist() == [[0.5, 0.9, 3.0]]
+
+
+# --- what a view cannot see ----------------------------------------------------------------------------------
+def fuse_naive(views: list[Array], rule: str, visible: list[Array]) -> Array:
+    """Cell by cell: the rule among the views that see the cell; 0 where none does."""
+    fused = np.zeros_like(views[0])
+    for cell in np.ndindex(views[0].shape):
+        evidence = [view[cell] for view, seen in zip(views, visible, strict=True) if seen[cell]]
+        if evidence:
+            fused[cell] = min(evidence) if rule == "and" else max(evidence)
+    return fused
+
+
+KINDS: dict[str, st.SearchStrategy[Array]] = {
+    "bool": arrays(bool, (3, 3, 4)),
+    "uint8": arrays(np.uint8, (3, 3, 4)),
+    "int16": arrays(np.int16, (3, 3, 4)),
+    "float": arrays(np.float64, (3, 3, 4), elements=st.floats(-9, 9)),
+}
+
+
+@pytest.mark.parametrize("rule", ["and", "or"])
+@pytest.mark.parametrize("kind", KINDS)
+@given(data=st.data())
+def test_a_view_says_nothing_about_what_it_cannot_see(kind: str, rule: str, data: st.DataObject) -> None:
+    views = list(data.draw(KINDS[kind]))
+    visible = list(data.draw(arrays(bool, (3, 3, 4))))
+    kept = [view.copy() for view in views]
+    fused = fuse(views, rule, visible=visible)
+    assert fused.dtype == views[0].dtype
+    np.testing.assert_array_equal(fused, fuse_naive(views, rule, visible))
+    for view, before in zip(views, kept, strict=True):
+        np.testing.assert_array_equal(view, before)
+
+
+def test_seeing_everything_is_the_same_as_not_saying() -> None:
+    everywhere = np.ones_like(LEFT)
+    for rule in ("and", "or"):
+        np.testing.assert_array_equal(
+            fuse([LEFT, RIGHT], rule, visible=[everywhere, everywhere]), fuse([LEFT, RIGHT], rule)
+        )
+
+
+def test_changing_the_result_never_changes_the_evidence() -> None:
+    for views in ([LEFT.copy()], [LEFT.copy(), RIGHT.copy()]):
+        fused = fuse(views)
+        fused[:] = True
+        np.testing.assert_array_equal(views[0], LEFT)
+
+
+def test_wrong_arguments_are_named() -> None:
+    with pytest.raises(ValueError, match="rule: expected one of and, or, got 'xor'"):
+        fuse([LEFT], "xor")
+    with pytest.raises(ValueError, match="evidence: expected at least one view, got none"):
+        fuse([])
+    for other in (RIGHT[:, :2], RIGHT.astype(np.uint8), RIGHT[0]):
+        with pytest.raises(ValueError, match="evidence: expected one shape and dtype"):
+            fuse([LEFT, other])
+    for bad in (np.nan, np.inf):
+        with pytest.raises(ValueError, match="evidence: expected finite numbers, got NaN or infinity"):
+            fuse([np.array([[0.5]]), np.array([[bad]])])
+    for visible in ([LEFT], [LEFT, RIGHT[:, :2]]):
+        with pytest.raises(ValueError, match=r"visible: expected 2 masks of shape \(1, 4\)"):
+            fuse([LEFT, RIGHT], visible=visible)
+
+
+# --- the umbra ------------------------------------------------------------------------------------------------
+NY, NX, CELL = 60, 80, 0.05  # a floor of 4 m x 3 m
+IY, IX = np.mgrid[:NY, :NX]
+CENTRES = np.stack([(IX + 0.5) * CELL, (IY + 0.5) * CELL], axis=-1)
+Prism = tuple[Array, float]
+
+
+def prism(x: float, y: float, radius: float, height: float, sides: int, turn: float) -> Prism:
+    """An upright prism with a regular base, a near-cylinder for many sides: corners in m and height in m."""
+    angle = turn + 2 * np.pi * np.arange(sides) / sides
+    return np.column_stack([x + radius * np.cos(angle), y + radius * np.sin(angle)]), height
+
+
+def blocked(points: Array, lamp: Array, solid: Prism) -> Array:
+    """Whether the sight-line from each floor point to the lamp meets the solid: clipped by its sides, up to its top."""
+    corners, height = solid
+    low, high = np.zeros(points.shape[:-1]), np.full(points.shape[:-1], height / lamp[2])
+    for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+        normal = np.array([b[1] - a[1], a[0] - b[0]])  # outwards, as the corners run counter-clockwise
+        at_start, slope = (points - a) @ normal, (lamp[:2] - points) @ normal  # inside: at_start + s * slope <= 0
+        crossing = -at_start / np.where(slope == 0, 1.0, slope)
+        high = np.where((slope == 0) & (at_start > 0), -1.0, high)  # runs beside the solid
+        high = np.where(slope > 0, np.minimum(high, crossing), high)
+        low = np.where(slope < 0, np.maximum(low, crossing), low)
+    return np.asarray(low <= high)
+
+
+def shadow(lamp: Array, solids: list[Prism]) -> Array:
+    return np.any([blocked(CENTRES, lamp, solid) for solid in solids], axis=0)
+
+
+def base(solid: Prism) -> Array:
+    corners = solid[0]
+    edges = np.roll(corners, -1, axis=0) - corners
+    offsets = CENTRES[..., None, :] - corners
+    return np.asarray((edges[:, 0] * offsets[..., 1] - edges[:, 1] * offsets[..., 0] > 1e-9).all(axis=-1))
+
+
+solids = st.lists(
+    st.builds(
+        prism,
+        x=st.floats(0.3, 3.7),
+        y=st.floats(0.3, 2.7),
+        radius=st.floats(0.1, 0.4),
+        height=st.floats(0.05, 0.9),
+        sides=st.sampled_from([3, 4, 6, 24]),
+        turn=st.floats(0, 6),
+    ),
+    min_size=1,
+    max_size=5,
+)
+lamps = st.lists(
+    st.tuples(st.floats(-2, 6), st.floats(-2, 5), st.floats(1.0, 4.0)).map(np.array), min_size=2, max_size=4
+)
+
+
+@settings(max_examples=80, deadline=None)
+@given(solids, lamps)
+def test_the_umbra_holds_the_base_of_every_object(things: list[Prism], cameras: list[Array]) -> None:
+    views = [shadow(camera, things) for camera in cameras]
+    umbra = fuse(views)
+    for thing in things:
+        assert umbra[base(thing)].all()
+    for view in views:
+        assert not (umbra & ~view).any()  # never more than any single shadow claims
+    assert fuse(views, "or")[umbra].all()
+
+
+def test_one_shadow_claims_far_more_floor_than_the_umbra_of_two() -> None:
+    thing = prism(2.0, 1.5, 0.2, 0.4, 24, 0.0)
+    views = [shadow(np.array([x, 1.5, 2.5]), [thing]) for x in (-1.0, 5.0)]
+    true = base(thing).sum()
+    assert all(view.sum() > 1.8 * true for view in views)
+    assert fuse(views).sum() < 1.2 * true
+
+
+def test_an_object_hidden_from_the_left_is_on_the_map_and_apart() -> None:
+    big, small = prism(1.6, 1.5, 0.3, 0.9, 24, 0.0), prism(2.6, 1.5, 0.1, 0.1, 24, 0.0)
+    left, right = np.array([-1.5, 1.5, 2.5]), np.array([5.5, 1.5, 2.5])
+    alone = shadow(left, [big])
+    assert alone[base(small)].all()  # the left view learns nothing from the small object ...
+    umbra = fuse([shadow(left, [big, small]), shadow(right, [big, small])])
+    assert umbra[base(small)].all()  # ... and yet it is on the map,
+    assert not umbra[:, int(2.2 / CELL)].any()  # with free floor between the two
+
+
+# --- who hides whom --------------------------------------------------------------------------------------------
+def hidden_naive(labels: Array, masks: list[Array], stations: list[Any], *, rays: int, step: int) -> Array:
+    """Ray by ray: walk from a cell towards the station while the view says foreground; another object hides it."""
+    fractions = np.zeros((labels.max(initial=0), len(masks)))
+    for row in range(len(fractions)):
+        cells = np.argwhere(labels == row + 1)[:, ::-1]
+        tested = min(rays, len(cells))
+        for view, (mask, station) in enumerate(zip(masks, stations, strict=True)):
+            hidden = 0
+            for k in range(tested):
+                start = cells[k * len(cells) // tested].astype(float)
+                distance = float(np.hypot(*(station - start)))
+                walked = 0.0
+                while walked < distance:
+                    walked = min(walked + step, distance)
+                    x, y = np.rint(start + (station - start) * (walked / distance)).astype(int)
+                    if not (0 <= x < labels.shape[1] and 0 <= y < labels.shape[0] and mask[y, x]):
+                        break
+                    if labels[y, x] not in (0, row + 1):
+                        hidden += 1
+                        break
+            fractions[row, view] = hidden / max(tested, 1)
+    return fractions
+
+
+@settings(max_examples=40, deadline=None)
+@given(seed=st.integers(0, 10_000), rays=st.integers(1, 30), step=st.integers(1, 3))
+def test_hidden_fractions_agree_with_walking_ray_by_ray(seed: int, rays: int, step: int) -> None:
+    rng = np.random.default_rng(seed)
+    labels = np.zeros((30, 40), np.int32)
+    for value in range(1, 5):
+        y, x = rng.integers(0, 24), rng.integers(0, 34)
+        labels[y : y + rng.integers(1, 7), x : x + rng.integers(1, 7)] = value
+    values = np.unique(labels[labels > 0])
+    labels = np.searchsorted(np.concatenate([[0], values]), labels).astype(np.int32)
+    masks = [(rng.random(labels.shape) < 0.93) | (labels > 0) for _ in range(2)]
+    stations = [rng.uniform(-30, 70, 2), rng.uniform(0, 30, 2)]  # outside the map and, maybe, on it
+    found = hidden_fractions(labels, masks, stations, rays=rays, step=step)
+    np.testing.assert_allclose(found, hidden_naive(labels, masks, stations, rays=rays, step=step))
+    assert ((found >= 0) & (found <= 1)).all()
+
+
+def planted(*boxes: tuple[int, int, int, int]) -> Array:
+    labels = np.zeros((40, 100), np.int32)
+    for value, (x0, x1, y0, y1) in enumerate(boxes, start=1):
+        labels[y0:y1, x0:x1] = value
+    return labels
+
+
+WEST, EAST = (-40.0, 19.5), (140.0, 19.5)
+
+
+def test_behind_another_is_hidden_beside_it_is_not() -> None:
+    labels = planted((30, 40, 10, 30), (50, 55, 17, 22), (50, 55, 0, 5))  # front, behind it, beside it
+    west, east = np.zeros_like(labels, bool), np.zeros_like(labels, bool)
+    west[10:30, 30:60] = west[0:5, 50:58] = True  # the front's shadow reaches beyond the one behind
+    east[10:30, 25:40] = east[17:22, 48:55] = east[0:5, 48:55] = True
+    found = hidden_fractions(labels, [west, east], [WEST, EAST])
+    assert found.tolist() == [[0.0, 0.0], [1.0, 0.0], [0.0, 0.0]]
+
+
+def test_floor_visible_in_between_means_that_the_object_is_plain() -> None:
+    labels = planted((30, 40, 10, 30), (50, 55, 17, 22))
+    low = labels > 0
+    low[10:30, 30:45] = True  # the shadow ends five cells short of the second object
+    assert hidden_fractions(labels, [low], [WEST]).tolist() == [[0.0], [0.0]]
+    low[10:30, 30:50] = True
+    assert hidden_fractions(labels, [low], [WEST]).tolist() == [[0.0], [1.0]]
+
+
+def test_half_behind_is_half_hidden() -> None:
+    labels = planted((30, 40, 0, 20), (50, 54, 14, 26))
+    mask = np.zeros_like(labels, bool)
+    mask[0:20, 30:60] = mask[14:26, 50:60] = True
+    far_west = (-100_000.0, 19.5)  # parallel sight-lines
+    found = hidden_fractions(labels, [mask], [far_west], rays=1000)
+    assert found[1, 0] == pytest.approx(0.5)
+
+
+def test_nothing_hides_an_object_alone_and_no_object_gives_no_rows() -> None:
+    everything = np.ones((40, 100), bool)
+    assert hidden_fractions(planted((30, 40, 10, 30)), [everything], [WEST]).tolist() == [[0.0]]
+    assert hidden_fractions(planted(), [everything] * 2, [WEST, EAST]).shape == (0, 2)
+    right_above = hidden_fractions(planted((30, 31, 10, 11)), [everything], [(30.0, 10.0)])
+    assert right_above.tolist() == [[0.0]]  # the camera stands over the only cell: no NaN
+
+
+def test_a_number_without_cells_is_hidden_nowhere() -> None:
+    labels = planted((30, 40, 10, 30), (0, 0, 0, 0), (50, 55, 17, 22))
+    found = hidden_fractions(labels, [np.ones((40, 100), bool)], [WEST])
+    assert found.tolist() == [[0.0], [0.0], [1.0]]
+
+
+def test_turning_the_scene_turns_the_answer() -> None:
+    labels = planted((30, 40, 10, 30), (50, 55, 17, 22), (70, 80, 15, 25))
+    mask = np.ones((40, 100), bool)
+    there = hidden_fractions(labels, [mask], [WEST], rays=10_000)
+    mirrored = hidden_fractions(labels[:, ::-1], [mask], [(99 - WEST[0], WEST[1])], rays=10_000)
+    np.testing.assert_allclose(there, mirrored)
+    assert there.tolist() == [[0.0], [1.0], [1.0]]
+
+
+def test_hidden_fractions_leave_their_inputs_alone_and_want_a_station_a_view() -> None:
+    labels = planted((30, 40, 10, 30), (50, 55, 17, 22))
+    mask = np.ones((40, 100), bool)
+    kept = labels.copy()
+    hidden_fractions(labels, [mask], [WEST])
+    np.testing.assert_array_equal(labels, kept)
+    assert mask.all()
+    with pytest.raises(ValueError):
+        hidden_fractions(labels, [mask], [WEST, EAST])

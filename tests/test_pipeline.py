@@ -1,0 +1,467 @@
+"""Frames in, map out: on drawn boxes with exact truth, on the rendered lab and on real footage."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from shutil import rmtree
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from occlib import metrics
+from occlib.foreground import Background, foreground_mask, smooth, subtract_background
+from occlib.geometry import Camera, Floor, Rig
+from occlib.localization import find_regions
+from occlib.mapping import load_map, save_map
+from occlib.occlusion import fuse
+from occlib.pipeline import PROFILES, FrameResult, Pipeline, Settings, backgrounds_of, settings_for
+from occlib.recordings import LAB, open_recording
+from occlib.registration import FloorWarp
+
+Array = np.ndarray[Any, Any]
+Draw = Callable[[Sequence[Any]], dict[str, Array]]
+
+
+def box(
+    x: float, y: float, *, side: float = 0.4, height: float = 0.3, colour: tuple[int, int, int] = (120, 20, 20)
+) -> SimpleNamespace:
+    """An upright box for the ``draw`` fixture: centre, side and height in m."""
+    half = side / 2
+    footprint = [[x + half * i, y + half * j] for i, j in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
+    return SimpleNamespace(x=x, y=y, height=height, colour=colour, footprint=footprint)
+
+
+def positions(result: FrameResult) -> list[tuple[float, float]]:
+    return sorted(thing.position_m for thing in result.objects)
+
+
+def agree(result: FrameResult, truth: Sequence[Any], tolerance: float) -> None:
+    found = metrics.match_points([o.position_m for o in result.objects], [(b.x, b.y) for b in truth], tolerance)
+    assert len(found) == len(result.objects) == len(truth), (positions(result), [(b.x, b.y) for b in truth])
+
+
+@pytest.fixture
+def pipeline(tiny_rig: Rig, draw: Draw) -> Pipeline:
+    """On the drawn room; the cameras see the whole floor."""
+    return Pipeline(tiny_rig, draw([]))
+
+
+# --- drawn boxes -------------------------------------------------------------------------------------------
+def test_the_tiny_recording_from_folder_to_objects(tiny_recording: Path) -> None:
+    recording = open_recording(tiny_recording)
+    truth = metrics.load_truth(tiny_recording / "truth.json")
+    pipeline = Pipeline(recording.rig, backgrounds_of(recording))
+    detections, moving = {}, []
+    for frame, images in recording.images():
+        result = pipeline.process(images, recording.time(frame))
+        assert result.time == recording.time(frame)
+        detections[frame] = [thing.to_dict() for thing in result.objects]
+        moving.append(min(result.objects, key=lambda thing: thing.position_m[1]))
+        footprints = [thing["footprint"] for thing in truth["frames"][str(frame)]]
+        covered = metrics.footprint_coverage(result.map.data == 100, recording.rig.floor, footprints)
+        assert covered.min() > 0.95
+    score = metrics.evaluate(detections, truth, radius=0.1)
+    assert (score.moda, score.id_switches) == (1.0, 0)
+    assert len({thing.id for thing in moving}) == 1
+    assert moving[-1].velocity_mps[0] > 0.3 and abs(moving[-1].velocity_mps[1]) < 0.1  # A moves by 1 m/s along x
+    assert moving[-1].age == 5
+
+
+def test_one_frame_result_is_consistent(pipeline: Pipeline, draw: Draw) -> None:
+    boxes = [box(1.0, 0.8), box(2.9, 2.2, colour=(20, 20, 60))]
+    result = pipeline.process(draw(boxes), 0.0)
+    agree(result, boxes, 0.08)
+    floor = pipeline.rig.floor
+    assert list(result.views) == ["left", "right"]
+    np.testing.assert_array_equal(result.occupied, result.views["left"] & result.views["right"])
+    np.testing.assert_array_equal(result.map.data == 100, result.labels > 0)
+    assert not (result.labels[~result.occupied]).any()
+    for index, thing in enumerate(result.objects, start=1):
+        assert thing.area_m2 == pytest.approx((result.labels == index).sum() * floor.cell_area)
+        iy, ix = np.nonzero(result.labels == index)
+        middle = np.array([(ix.min() + ix.max()) / 2, (iy.min() + iy.max()) / 2])
+        np.testing.assert_allclose(floor.cells([thing.position_m])[0], middle, atol=1e-9)
+    colours = {thing.colour for thing in result.objects}
+    assert {max(range(3), key=colour.__getitem__) for colour in colours} == {0, 2}  # the red one, the blue one
+    assert all(np.isfinite([*thing.position_m, *thing.velocity_mps, thing.area_m2]).all() for thing in result.objects)
+
+
+def test_an_object_hidden_in_the_left_view_is_mapped_and_said_to_be_hidden(tiny_rig: Rig, draw: Draw) -> None:
+    front, behind = box(1.6, 1.5, height=0.9, side=0.5), box(2.5, 1.5, height=0.1, side=0.25, colour=(20, 20, 90))
+    without = draw([front])
+    images = draw([behind, front])
+    np.testing.assert_array_equal(images["left"], without["left"])  # not one px of it shows on the left
+    images["right"] = draw([front, behind])["right"]  # it stands in front there
+    result = Pipeline(tiny_rig, draw([])).process(images, 0.0)
+    agree(result, [front, behind], 0.15)
+    small = min(result.objects, key=lambda thing: thing.area_m2)
+    assert small.hidden_in == ("left",)
+    assert small.colour[2] > small.colour[0]  # its colour is read where it is plain
+    alone = Pipeline(tiny_rig.select(["left"]), draw([])).process(images, 0.0)
+    assert len(alone.objects) == 1
+
+
+def test_a_ghost_between_two_objects_is_removed(tiny_rig: Rig, draw: Draw) -> None:
+    boxes = [box(1.0, 1.5, height=0.69), box(3.0, 1.45, height=0.69, colour=(20, 20, 60))]
+    kept = Pipeline(tiny_rig, draw([]), replace(PROFILES["recommended"], remove_ghosts=False))
+    with_ghost = kept.process(draw(boxes), 0.0)
+    assert len(with_ghost.objects) == 3
+    ghost = positions(with_ghost)[1]
+    assert 1.6 < ghost[0] < 2.4  # both views see something there, but only behind the objects
+    result = Pipeline(tiny_rig, draw([])).process(draw(boxes), 0.0)
+    agree(result, boxes, 0.15)
+    ix, iy = np.rint(tiny_rig.floor.cells([ghost])[0]).astype(int)
+    assert with_ghost.map.data[iy, ix] == 100 and result.map.data[iy, ix] == 0
+    assert result.occupied[iy, ix]  # the evidence itself is kept
+    assert sorted(np.unique(result.labels)) == [0, 1, 2]
+
+
+def test_an_empty_noisy_frame_has_no_objects_and_a_free_map(tiny_rig: Rig, draw: Draw) -> None:
+    rng = np.random.default_rng(0)
+    empty = draw([])
+
+    def noisy() -> dict[str, Array]:
+        return {
+            name: np.clip(image + rng.normal(0, 2, image.shape), 0, 255).round().astype(np.uint8)
+            for name, image in empty.items()
+        }
+
+    for profile in PROFILES.values():
+        result = Pipeline(tiny_rig, empty, profile).process(noisy(), 0.0)
+        assert result.objects == [] and not result.occupied.any() and not result.labels.any()
+        assert (result.map.data == 0).all()
+
+
+def test_both_profiles_find_the_boxes_in_changed_light(tiny_rig: Rig, draw: Draw) -> None:
+    boxes = [box(1.0, 0.8), box(2.9, 2.2, colour=(20, 20, 60))]
+    darker = {name: np.round(image * 0.85).astype(np.uint8) for name, image in draw(boxes).items()}
+    for profile in PROFILES.values():
+        agree(Pipeline(tiny_rig, draw([]), profile).process(darker, 0.0), boxes, 0.1)
+
+
+def test_the_paper_profile_is_the_papers_chain_to_the_letter(tiny_rig: Rig, draw: Draw) -> None:
+    boxes = [box(1.0, 0.8), box(2.9, 2.2, colour=(20, 20, 60))]
+    images, empty = draw(boxes), draw([])
+    result = Pipeline(tiny_rig, empty, settings_for("paper")).process(images, 0.0)
+    views = []
+    for name, camera in tiny_rig.cameras.items():
+        mask = foreground_mask(images[name], Background(empty[name]), threshold="otsu", colour=False)
+        views.append(FloorWarp(camera, tiny_rig.floor).warp(mask))
+    np.testing.assert_array_equal(result.occupied, fuse(views, "and"))
+    _, regions = find_regions(result.occupied)
+    cells = tiny_rig.floor.cells([thing.position_m for thing in result.objects])
+    np.testing.assert_allclose(cells, [region.centroid for region in regions], atol=1e-9)
+
+
+def test_the_recommended_profile_warps_the_difference_and_thresholds_it_on_the_floor(tiny_rig: Rig, draw: Draw) -> None:
+    images, empty = draw([box(1.0, 0.8), box(2.9, 2.2)]), draw([])
+    settings = settings_for(threshold=40.0)
+    result = Pipeline(tiny_rig, empty, settings).process(images, 0.0)
+    for name, camera in tiny_rig.cameras.items():
+        difference = smooth(subtract_background(images[name], Background(empty[name])), size=settings.smoothing_px)
+        warp = FloorWarp(camera, tiny_rig.floor)
+        np.testing.assert_array_equal(result.views[name], warp.warp(difference) > 40)
+        assert (result.views[name] != warp.warp(difference > 40)).any()  # not the same as warping the mask
+
+
+def test_only_the_recommended_profile_sees_what_is_as_bright_as_the_floor(tiny_rig: Rig, draw: Draw) -> None:
+    hidden_in_grey = box(2.0, 1.5, colour=(255, 141, 97))
+    images, empty = draw([hidden_in_grey]), draw([])
+    assert Pipeline(tiny_rig, empty, settings_for("paper")).process(images, 0.0).objects == []
+    agree(Pipeline(tiny_rig, empty).process(images, 0.0), [hidden_in_grey], 0.1)
+
+
+def test_the_or_rule_claims_more_than_the_and_rule(tiny_rig: Rig, draw: Draw) -> None:
+    images, empty = draw([box(2.0, 1.5)]), draw([])
+    both = {
+        rule: Pipeline(tiny_rig, empty, settings_for(rule=rule, remove_ghosts=False)).process(images, 0.0)
+        for rule in ("and", "or")
+    }
+    assert both["or"].occupied[both["and"].occupied].all()
+    assert both["or"].occupied.sum() > 1.3 * both["and"].occupied.sum()
+
+
+# --- the right way round --------------------------------------------------------------------------------------
+def test_orientation_holds_through_to_the_saved_pgm(pipeline: Pipeline, draw: Draw, tmp_path: Path) -> None:
+    thing = box(0.8, 2.5)  # small x, large y
+    result = pipeline.process(draw([thing]), 0.0)
+    agree(result, [thing], 0.1)
+    iy, ix = np.nonzero(result.map.data == 100)
+    assert iy.mean() == pytest.approx(2.5 / 0.05, abs=2) and ix.mean() == pytest.approx(0.8 / 0.05, abs=2)
+    description = save_map(tmp_path / "map", result.map)
+    assert load_map(description) == result.map
+    header, size, depth, pixels = (tmp_path / "map.pgm").read_bytes().split(b"\n", 3)
+    assert (header, size, depth) == (b"P5", b"80 60", b"255")
+    rows, columns = np.nonzero(np.frombuffer(pixels, np.uint8).reshape(60, 80) == 0)
+    assert rows.max() < 20 and columns.max() < 25  # north is up, west is left
+
+
+# --- what cameras cannot see ----------------------------------------------------------------------------------
+def half_blind(tiny_rig: Rig, name: str, target: Sequence[float]) -> Camera:
+    """A camera like the left one that stands in the middle of the floor and looks one way."""
+    model = tiny_rig["left"]
+    centre = np.array([2.0, 1.5, 2.2])
+    forward = np.array([*target, 0.0]) - centre
+    forward /= np.linalg.norm(forward)
+    right = np.cross(forward, [0.0, 0.0, 1.0])
+    right /= np.linalg.norm(right)
+    rotation = np.stack([right, np.cross(forward, right), forward])
+    return Camera.from_pose(name, model.size, model.matrix, model.distortion, rotation, -rotation @ centre)
+
+
+def grey_floor(rig: Rig) -> dict[str, Array]:
+    return {name: np.full((c.size[1], c.size[0], 3), 170, np.uint8) for name, c in rig.cameras.items()}
+
+
+def painted(rig: Rig, x: float, y: float, side: float) -> dict[str, Array]:
+    """A flat dark square on the floor in every view."""
+    images = grey_floor(rig)
+    for name, camera in rig.cameras.items():
+        columns, rows = np.meshgrid(np.arange(camera.size[0]), np.arange(camera.size[1]))
+        points = camera.pixels_to_floor(np.column_stack([columns.ravel(), rows.ravel()]))
+        inside = (np.abs(points - [x, y]) < side / 2).all(axis=1)
+        images[name][inside.reshape(columns.shape)] = 20
+    return images
+
+
+def test_what_no_camera_sees_is_unknown_never_free(tiny_rig: Rig) -> None:
+    camera = half_blind(tiny_rig, "east", (3.6, 1.5))
+    rig = Rig(tiny_rig.floor, {"east": camera})
+    visible = FloorWarp(camera, rig.floor).visible
+    assert 0.2 < visible.mean() < 0.7
+    empty = Pipeline(rig, grey_floor(rig)).process(grey_floor(rig), 0.0)
+    np.testing.assert_array_equal(empty.map.data, np.where(visible, 0, -1))
+    result = Pipeline(rig, grey_floor(rig)).process(painted(rig, 3.2, 1.5, 0.4), 0.0)
+    agree(result, [SimpleNamespace(x=3.2, y=1.5)], 0.05)
+    assert set(np.unique(result.map.data[visible])) == {0, 100}
+    assert (result.map.data[~visible] == -1).all()
+
+
+def test_one_view_alone_cannot_call_a_cell_occupied_where_two_cameras_watch(tiny_rig: Rig) -> None:
+    camera = half_blind(tiny_rig, "east", (3.6, 1.5))
+    rig = Rig(tiny_rig.floor, {"left": tiny_rig["left"], "east": camera})
+    visible = FloorWarp(camera, rig.floor).visible
+    pipeline = Pipeline(rig, grey_floor(rig))
+    seen_by_both = pipeline.process(painted(rig, 3.2, 1.5, 0.4), 0.0)
+    agree(seen_by_both, [SimpleNamespace(x=3.2, y=1.5)], 0.05)
+    assert (seen_by_both.map.data >= 0).all()
+    iy, ix = 30, 16  # (0.8, 1.5) m: the left camera alone sees it
+    assert not visible[iy, ix]
+    shaded = pipeline.process(painted(rig, 0.825, 1.525, 0.4), 1.0)
+    assert shaded.objects == []
+    assert shaded.map.data[iy, ix] == -1  # an object or the shadow of one: not known
+    assert shaded.map.data[30, 5] == 0  # bare floor is free, whoever sees it
+
+
+# --- manners ---------------------------------------------------------------------------------------------------
+def test_the_same_frames_give_the_same_results_and_stay_as_they_were(tiny_rig: Rig, draw: Draw) -> None:
+    boxes = [box(1.0, 0.8), box(2.9, 2.2)]
+    images, empty = draw(boxes), draw([])
+    kept = {name: image.copy() for name, image in images.items()}
+    bare = {name: image.copy() for name, image in empty.items()}
+    first, second = (Pipeline(tiny_rig, empty).process(images, 0.0) for _ in range(2))
+    assert first.objects == second.objects and first.map == second.map
+    np.testing.assert_array_equal(first.labels, second.labels)
+    for name in kept:
+        np.testing.assert_array_equal(images[name], kept[name])
+        np.testing.assert_array_equal(empty[name], bare[name])
+
+
+def test_the_order_of_the_images_and_of_the_cameras_does_not_matter(tiny_rig: Rig, draw: Draw) -> None:
+    images, empty = draw([box(1.0, 0.8), box(2.9, 2.2)]), draw([])
+    there = Pipeline(tiny_rig, empty).process(images, 0.0)
+    back = Pipeline(tiny_rig.select(["right", "left"]), empty).process(dict(reversed(images.items())), 0.0)
+    assert there.map == back.map
+    assert positions(there) == positions(back)
+
+
+def test_bad_images_are_named_and_leave_the_tracker_as_it_was(pipeline: Pipeline, draw: Draw) -> None:
+    images = draw([box(1.0, 0.8)])
+    pipeline.process(images, 1.0)
+    left = images["left"]
+    bad: dict[str, Mapping[str, Any]] = {
+        "images: expected one for every camera, missing right": {"left": left},
+        r"image of left: expected uint8 \(120, 160, 3\), got uint8 \(119, 160, 3\)": {**images, "left": left[1:]},
+        r"image of left: expected uint8 .*, got uint8 \(120, 160\)": {**images, "left": left[..., 0]},
+        r"image of left: expected uint8 .*, got float64": {**images, "left": np.full(left.shape, np.nan)},
+        r"image of right: expected uint8 .*, got NoneType": {**images, "right": None},
+    }
+    for message, frames in bad.items():
+        with pytest.raises(ValueError, match=message):
+            pipeline.process(frames, 2.0)
+    for time in (1.0, 0.5, np.nan, np.inf):
+        with pytest.raises(ValueError, match="time: expected finite seconds after 1"):
+            pipeline.process(images, time)
+    (thing,) = pipeline.process(images, 1.1).objects
+    assert (thing.id, thing.age) == (1, 2)
+
+
+def test_bad_backgrounds_are_named(tiny_rig: Rig, draw: Draw) -> None:
+    empty = draw([])
+    with pytest.raises(ValueError, match="backgrounds: expected one for every camera, missing right"):
+        Pipeline(tiny_rig, {"left": empty["left"]})
+    with pytest.raises(ValueError, match=r"backgrounds: .* missing left, right"):
+        Pipeline(tiny_rig, {})
+    with pytest.raises(ValueError, match=r"background of left: expected uint8 \(120, 160, 3\)"):
+        Pipeline(tiny_rig, {**empty, "left": empty["left"][:, 1:]})
+    with pytest.raises(ValueError, match=r"expected uint8 RGB .* got float64"):
+        Pipeline(tiny_rig, {**empty, "left": empty["left"] / 255.0})
+
+
+def test_bad_settings_are_named(tiny_rig: Rig, draw: Draw) -> None:
+    empty = draw([])
+    with pytest.raises(ValueError, match="profile: expected one of recommended, paper, got 'papre'"):
+        settings_for("papre")
+    with pytest.raises(ValueError, match="position: expected centroid or middle, got 'mean'"):
+        Pipeline(tiny_rig, empty, Settings(position="mean"))
+    for change, message in (
+        ({"rule": "xor"}, "rule: expected one of and, or"),
+        ({"threshold": "ostu"}, "threshold: expected otsu"),
+        ({"threshold": -3.0}, "threshold: expected grey levels >= 0"),
+        ({"smoothing_px": 4}, "size: expected an odd number of px"),
+        ({"join_m": -0.1}, "join: expected px >= 0"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            Pipeline(tiny_rig, empty, settings_for(**change)).process(empty, 0.0)
+
+
+def test_settings_for_changes_what_is_given_and_nothing_else() -> None:
+    assert settings_for() == PROFILES["recommended"] == Settings()
+    assert settings_for("paper", rule=None, threshold=None) == PROFILES["paper"]
+    changed = settings_for("paper", threshold=25.0)
+    assert changed == replace(PROFILES["paper"], threshold=25.0)
+    assert (PROFILES["paper"].threshold, PROFILES["paper"].position) == ("otsu", "centroid")
+
+
+def test_backgrounds_come_from_the_empty_pictures_or_are_learned(tiny_recording: Path, draw: Draw) -> None:
+    empty = draw([])
+    taken = backgrounds_of(open_recording(tiny_recording))
+    assert list(taken) == ["left", "right"]
+    for name, background in taken.items():
+        np.testing.assert_array_equal(background.image, empty[name])
+        assert background.noise == 0.0
+    rmtree(tiny_recording / "background" / "right")
+    learned = backgrounds_of(open_recording(tiny_recording, ["right", "left"]))
+    assert list(learned) == ["right", "left"]
+    np.testing.assert_array_equal(learned["left"].image, empty["left"])
+    standing = (draw([box(2.6, 2.1)])["right"] != empty["right"]).any(axis=2)
+    assert (learned["right"].image == empty["right"]).all(axis=2)[~standing].mean() > 0.9
+
+
+# --- the rendered laboratory ----------------------------------------------------------------------------------
+def lab(name: str) -> Path:
+    if not (LAB / name / "truth.json").is_file():
+        pytest.skip(f"{name} is not rendered in {LAB}")
+    return LAB / name
+
+
+def run(
+    name: str | Path, cameras: Sequence[str], every: int = 1
+) -> tuple[dict[int, FrameResult], dict[str, Any], Floor]:
+    """Results by frame, the truth of these frames, and the floor."""
+    recording = open_recording(name, cameras)
+    truth = metrics.load_truth(recording.path / "truth.json")
+    pipeline = Pipeline(recording.rig, backgrounds_of(recording))
+    frames = recording.frames[::every]
+    results = {frame: pipeline.process(images, recording.time(frame)) for frame, images in recording.images(frames)}
+    truth["frames"] = {str(frame): truth["frames"][str(frame)] for frame in frames}
+    return results, truth, recording.rig.floor
+
+
+def score(results: Mapping[int, FrameResult], truth: Mapping[str, Any], radius: float) -> metrics.Score:
+    return metrics.evaluate(
+        {frame: [thing.to_dict() for thing in result.objects] for frame, result in results.items()},
+        truth,
+        radius=radius,
+    )
+
+
+def least_coverage(results: Mapping[int, FrameResult], truth: Mapping[str, Any], floor: Floor) -> float:
+    return min(
+        metrics.footprint_coverage(
+            result.map.data == 100, floor, [thing["footprint"] for thing in truth["frames"][str(frame)]]
+        ).min()
+        for frame, result in results.items()
+    )
+
+
+def test_ball_and_oval_left_alone_maps_one_object_both_views_two() -> None:
+    path = lab("ball_and_oval")
+    assert all(len(result.objects) == 1 for result in run(path, ["left"])[0].values())
+    results, truth, floor = run(path, ["left", "right"])
+    scored = score(results, truth, radius=0.05)
+    assert scored.moda == 1.0
+    assert least_coverage(results, truth, floor) >= 0.98
+    for result in results.values():
+        ball, oval = sorted(result.objects, key=lambda thing: thing.position_m[0])
+        assert ball.hidden_in == () and oval.hidden_in == ("left",)
+        assert ball.colour[0] > 1.5 * ball.colour[2] and oval.colour[2] > 1.5 * oval.colour[0]
+
+
+def test_the_paper_profile_also_finds_ball_and_oval() -> None:
+    recording = open_recording(lab("ball_and_oval"), ["left", "right"])
+    pipeline = Pipeline(recording.rig, backgrounds_of(recording), settings_for("paper"))
+    frame, images = next(recording.images())
+    result = pipeline.process(images, 0.0)
+    truth = json.loads((recording.path / "truth.json").read_text(encoding="utf-8"))["frames"][str(frame)]
+    for thing in truth:
+        distances = np.linalg.norm(
+            np.subtract([o.position_m for o in result.objects], (thing["x"], thing["y"])), axis=1
+        )
+        assert distances.min() < 0.15
+
+
+def test_long_occlusion_keeps_the_hidden_robot_on_the_map_in_every_frame() -> None:
+    results, truth, floor = run(lab("long_occlusion"), ["left", "right"])
+    scored = score(results, truth, radius=0.3)
+    assert scored.moda == 1.0
+    assert scored.error_median_m is not None and scored.error_median_m <= 0.04
+    assert least_coverage(results, truth, floor) >= 0.98
+    hidden = [
+        frame for frame in results if any(t["hidden_fraction"]["left"] == 1.0 for t in truth["frames"][str(frame)])
+    ]
+    assert len(hidden) >= 60
+    said = [any("left" in thing.hidden_in for thing in results[frame].objects) for frame in hidden]
+    assert np.mean(said) >= 0.9
+
+
+def test_four_robots_with_the_papers_two_cameras() -> None:
+    results, truth, floor = run(lab("four_robots"), ["left", "right"])
+    scored = score(results, truth, radius=0.3)
+    assert scored.moda is not None and scored.moda >= 0.95
+    assert scored.error_median_m is not None and scored.error_median_m <= 0.04
+    assert least_coverage(results, truth, floor) >= 0.98
+
+
+def test_four_robots_with_four_cameras_claim_less_floor_than_with_two() -> None:
+    path = lab("four_robots")
+    two, truth, floor = run(path, ["left", "right"], every=20)
+    four, _, _ = run(path, ["left", "right", "front", "back"], every=20)
+    for frame, result in four.items():
+        footprints = [thing["footprint"] for thing in truth["frames"][str(frame)]]
+        claims = [metrics.claimed_area_ratio(r.map.data == 100, floor, footprints) for r in (two[frame], result)]
+        assert claims[0] is not None and claims[1] is not None
+        assert claims[1] <= claims[0]
+    assert (score(four, truth, radius=0.3).moda or 0) >= 0.95
+
+
+# --- real footage ---------------------------------------------------------------------------------------------
+def test_ufes_lab_two_people_in_a_real_room(shared_data: Callable[[str], Path]) -> None:
+    """About 30 s: the background is learned from frames that are never empty."""
+    recording = open_recording(shared_data("ufes-lab"), ["cam2", "cam3"])
+    truth = metrics.load_truth(recording.path / "truth.json")
+    pipeline = Pipeline(recording.rig, backgrounds_of(recording))
+    frames = range(40, 149, 4)
+    detections = {
+        frame: [thing.to_dict() for thing in pipeline.process(images, recording.time(frame)).objects]
+        for frame, images in recording.images(frames)
+    }
+    truth["frames"] = {key: things for key, things in truth["frames"].items() if int(key) in frames}
+    scored = metrics.evaluate(detections, truth, roi="cam2+cam3", radius=0.5)
+    assert scored.moda is not None and scored.moda >= 0.92
+    assert scored.error_median_m is not None and scored.error_median_m <= 0.13
