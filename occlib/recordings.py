@@ -219,6 +219,8 @@ def open_recording(path: str | Path, cameras: Sequence[str] | None = None) -> Re
     places = [place for place in (Path(path), LAB / path, cache_folder() / path) if place.is_dir()]
     folder = next((place for place in places if (place / "rig.yaml").exists()), next(iter(places), None))
     if folder is None:
+        if str(path) in sources():
+            raise ValueError(f"{path}: not fetched yet; first: occlib data fetch {path}")
         known = ", ".join(sorted(p.parent.name for p in LAB.glob("*/rig.yaml")))
         raise ValueError(f"{path}: no such recording folder (data/lab has {known})")
     rig = Rig.load(folder / "rig.yaml").select(cameras)

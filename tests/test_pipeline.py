@@ -465,3 +465,7 @@ def test_ufes_lab_two_people_in_a_real_room(shared_data: Callable[[str], Path]) 
     scored = metrics.evaluate(detections, truth, roi="cam2+cam3", radius=0.5)
     assert scored.moda is not None and scored.moda >= 0.92
     assert scored.error_median_m is not None and scored.error_median_m <= 0.13
+    wide = metrics.evaluate(detections, truth, roi="cam2+cam3 wide", radius=0.5)
+    readme = " ".join((Path(__file__).parents[1] / "README.md").read_text(encoding="utf-8").split())
+    assert f"MODA {scored.moda:.2f} and a median position error of {scored.error_median_m:.2f} m" in readme
+    assert f"`cam2+cam3 wide` MODA is {wide.moda:.2f}" in readme
