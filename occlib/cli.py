@@ -174,10 +174,10 @@ def data(args: argparse.Namespace) -> int:
         print("\n".join(problems) or "data/lab agrees with its manifest")
         return 1 if problems else 0
     if args.action == "list":
-        print("\n".join(f"{name}: {source['about']}" for name, source in recordings.sources().items()))
+        print("\n".join(f"{name}: {source['about']}" for name, source in recordings.public_recordings().items()))
         return 0
     if not args.names:
-        raise ValueError(f"data fetch: expected a name, one of {', '.join(recordings.sources())}")
+        raise ValueError(f"data fetch: expected a name, one of {', '.join(recordings.public_recordings())}")
     for name in args.names:
         print(recordings.fetch(name, progress=True))
     return 0

@@ -219,7 +219,7 @@ def open_recording(path: str | Path, cameras: Sequence[str] | None = None) -> Re
     places = [place for place in (Path(path), LAB / path, cache_folder() / path) if place.is_dir()]
     folder = next((place for place in places if (place / "rig.yaml").exists()), next(iter(places), None))
     if folder is None:
-        if str(path) in sources():
+        if str(path) in public_recordings():
             raise ValueError(f"{path}: not fetched yet; first: occlib data fetch {path}")
         known = ", ".join(sorted(p.parent.name for p in LAB.glob("*/rig.yaml")))
         raise ValueError(f"{path}: no such recording folder (data/lab has {known})")
@@ -337,7 +337,7 @@ def cache_folder() -> Path:
     return Path(os.environ.get("OCCLIB_CACHE") or pooch.os_cache("occlib"))
 
 
-def sources(path: str | Path = DATA / "sources.yaml") -> dict[str, Any]:
+def public_recordings(path: str | Path = DATA / "sources.yaml") -> dict[str, Any]:
     """The public recordings by name: ``about``, ``url`` and ``files`` with their checksums."""
     return dict(read_yaml(path))
 
@@ -359,7 +359,7 @@ def fetch(name: str, *, catalogue: str | Path = DATA / "sources.yaml", progress:
     import pooch
     from tqdm import tqdm
 
-    known = sources(catalogue)
+    known = public_recordings(catalogue)
     if name not in known:
         raise ValueError(f"{name}: not a public recording; there are {', '.join(known)}")
     source, folder = known[name], cache_folder() / name

@@ -608,7 +608,7 @@ def test_fetch_of_an_unknown_name(catalogue: Path) -> None:
 
 
 def test_the_catalogue_that_ships_is_complete() -> None:
-    known = recordings.sources()
+    known = recordings.public_recordings()
     assert {"ufes-lab", "opencv-checkerboard"} <= set(known)
     for source in known.values():
         assert source["about"]
