@@ -389,9 +389,7 @@ def render(
     cameras = {n: scaled_camera(c, scale) for n, c in scene.rig.cameras.items()}
     scene = replace(scene, rig=Rig(scene.rig.floor, cameras))
     quality = int(scene.room["sensor"]["jpeg_quality"])
-    boards = [(b.camera, i) for i, b in enumerate(scene.boards) if frames is None or i in chosen]
-    chosen = [] if scene.boards else chosen
-    total = len(cameras) * (len(chosen) + (scene.background > 0) + (scene.floor_board is not None)) + len(boards)
+    total = len(cameras) * (len(chosen) + (scene.background > 0) + (scene.floor_board is not None))
     bar = tqdm(total=total, desc=scene.name, disable=not progress)
     studio = Studio(scene, spp=spp)
     for name in cameras:  # camera by camera: its rays and its empty room are used again
@@ -399,14 +397,13 @@ def render(
             picture = studio.photograph(studio.radiance(name, None), name, "background", i)
             write_file(out / "background" / name / f"{i:02d}.png", encode_image(".png", picture, quality=quality))
         bar.update(scene.background > 0)
-        for frame in chosen:
-            picture = studio.photograph(studio.radiance(name, frame), name, "frames", frame)
+        boards = [i for i, board in enumerate(scene.boards) if board.camera == name]
+        for frame in chosen:  # frame N shows the camera its own Nth board, if there are any
+            index = boards[frame] if boards else frame
+            light = studio.radiance(name, None, scene.boards[index]) if boards else studio.radiance(name, frame)
+            picture = studio.photograph(light, name, "frames", index)
             write_file(out / "frames" / name / f"{frame:04d}.jpg", encode_image(".jpg", picture, quality=quality))
             bar.update()
-    for camera, i in boards:
-        picture = studio.photograph(studio.radiance(str(camera), None, scene.boards[i]), str(camera), "frames", i)
-        write_file(out / "frames" / str(camera) / f"{i:04d}.jpg", encode_image(".jpg", picture, quality=quality))
-        bar.update()
     if (lying := floor_board(scene)) is not None:
         for k, name in enumerate(cameras):
             picture = studio.photograph(studio.radiance(name, None, lying), name, "frames", len(scene.boards) + k)
@@ -415,11 +412,10 @@ def render(
         write_file(out / "floor_marks.yaml", _yaml(floor_marks(scene)))
     bar.close()
     write_file(out / "rig.yaml", _yaml({"fps": scene.fps, **scene.rig.to_dict()}))
-    if scene.objects:
-        truth = ground_truth(scene, frames=chosen)
-        lines = [f"{json.dumps(k)}: {json.dumps(v)}" for k, v in truth.pop("frames").items()]
-        head = json.dumps(truth)[:-1]  # one frame a line: short, and still readable
-        write_file(out / "truth.json", (head + ', "frames": {\n' + ",\n".join(lines) + "\n}}\n").encode())
+    truth = ground_truth(scene, frames=chosen)
+    lines = [f"{json.dumps(k)}: {json.dumps(v)}" for k, v in truth.pop("frames").items()]
+    head = json.dumps(truth)[:-1]  # one frame a line: short, and still readable
+    write_file(out / "truth.json", (head + ', "frames": {\n' + ",\n".join(lines) + "\n}}\n").encode())
     return out
 
 
