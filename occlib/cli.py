@@ -136,12 +136,9 @@ def evaluate(args: argparse.Namespace) -> int:
 
 
 def calibrate(args: argparse.Namespace) -> int:
-    from occlib.calibration import calibrate_images, save_calibration
+    from occlib.calibration import calibrate_images, parse_pattern, save_calibration
 
-    columns, _, rows = args.pattern.lower().partition("x")
-    if not (columns.isdecimal() and rows.isdecimal()):
-        raise ValueError(f"--pattern: expected COLUMNSxROWS inner corners such as 9x6, got {args.pattern!r}")
-    result = calibrate_images(args.images, (int(columns), int(rows)), args.square, progress=True)
+    result = calibrate_images(args.images, parse_pattern(args.pattern), args.square, progress=True)
     (fx, _, cx), (_, fy, cy), _ = result.matrix
     print(f"{result.views_used} of {len(args.images)} pictures used, rms {result.rms_px:.3f} px")
     print(f"fx {fx:.2f}  fy {fy:.2f}  cx {cx:.2f}  cy {cy:.2f} px")

@@ -29,6 +29,16 @@ Mask = npt.NDArray[np.bool_]
 Image = npt.NDArray[Any]
 
 
+def read_yaml(path: str | Path) -> Any:
+    """The content of a YAML file; ``ValueError`` in one line if it cannot be read or is not YAML."""
+    try:
+        return yaml.safe_load(Path(path).read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ValueError(f"{path}: cannot read ({error.strerror})") from None
+    except (yaml.YAMLError, ValueError, RecursionError) as error:  # ValueError: not UTF-8, an impossible date
+        raise ValueError(f"{path}: not valid YAML ({str(error).splitlines()[0]})") from None
+
+
 def as_points(points: npt.ArrayLike, *, dimensions: int = 2, name: str = "points") -> FloatArray:
     """Points as a float64 array of shape (N, dimensions); a single point becomes (1, dimensions).
 
@@ -287,12 +297,7 @@ class Rig:
     @classmethod
     def load(cls, path: str | Path) -> Rig:
         """Read ``rig.yaml``; ``ValueError`` with the file's name and the field that is wrong."""
-        try:
-            content = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
-        except OSError as error:
-            raise ValueError(f"{path}: cannot read the rig ({error.strerror})") from None
-        except (yaml.YAMLError, ValueError, RecursionError) as error:  # ValueError: not UTF-8, an impossible date
-            raise ValueError(f"{path}: not valid YAML ({str(error).splitlines()[0]})") from None
+        content = read_yaml(path)
         try:
             return cls.from_dict(content)
         except ValueError as error:

@@ -18,9 +18,8 @@ from typing import Any
 
 import cv2
 import numpy as np
-import yaml
 
-from occlib.geometry import Image, Rig
+from occlib.geometry import Image, Rig, read_yaml
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg")
 VIDEO_SUFFIXES = (".mp4", ".avi")
@@ -85,16 +84,6 @@ def staged_folder(path: str | Path) -> Iterator[Path]:
             shutil.rmtree(temporary, ignore_errors=True)
         if made and target.is_dir() and not any(target.iterdir()):
             target.rmdir()
-
-
-def read_yaml(path: str | Path) -> Any:
-    """The content of a YAML file; ``ValueError`` in one line if it cannot be read or is not YAML."""
-    try:
-        return yaml.safe_load(Path(path).read_text(encoding="utf-8"))
-    except OSError as error:
-        raise ValueError(f"{path}: cannot read ({error.strerror})") from None
-    except (yaml.YAMLError, ValueError, RecursionError) as error:  # ValueError: not UTF-8, an impossible date
-        raise ValueError(f"{path}: not valid YAML ({str(error).splitlines()[0]})") from None
 
 
 def read_image(path: str | Path) -> Image:

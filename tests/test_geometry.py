@@ -331,11 +331,11 @@ def test_a_file_that_is_no_rig(tmp_path: Path, text: bytes, message: str) -> Non
 
 
 def test_unreadable_rig(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match=r"rig.yaml: cannot read the rig \(No such file"):
+    with pytest.raises(ValueError, match=r"rig.yaml: cannot read \(No such file"):
         Rig.load(tmp_path / "rig.yaml")
     (tmp_path / "file").write_text("")
     for path in (tmp_path, tmp_path / "file" / "rig.yaml"):
-        with pytest.raises(ValueError, match="cannot read the rig"):
+        with pytest.raises(ValueError, match="cannot read"):
             Rig.load(path)
 
 

@@ -261,7 +261,7 @@ def lose(name: str) -> Callable[[Path], object]:
         (lambda f: shutil.rmtree(f / "frames/left"), "no frames for camera 'left' .expected frames/left/"),
         (lambda f: [p.unlink() for p in (f / "frames/left").iterdir()], "no frames for camera 'left'"),
         (lambda f: shutil.rmtree(f / "frames"), "no frames for camera 'left'"),
-        (lambda f: (f / "rig.yaml").unlink(), "rig.yaml: cannot read the rig"),
+        (lambda f: (f / "rig.yaml").unlink(), "rig.yaml: cannot read"),
         (lambda f: (f / "rig.yaml").write_text("[1"), "rig.yaml: not valid YAML"),
     ],
 )
