@@ -9,7 +9,7 @@ from typing import Any
 import cv2
 import numpy as np
 import numpy.typing as npt
-from scipy.ndimage import find_objects
+from scipy.ndimage import distance_transform_edt, find_objects
 
 from occlib.geometry import Camera, FloatArray, Mask, as_points
 
@@ -84,17 +84,82 @@ def find_regions(
     # the default algorithm is faster but numbers by blocks of 2 x 2 px, this one in row-major order of the px
     count, found = _components(pixels[window], cv2.CCL_WU)
     if join and count > 2:
-        found = _joined(found, count, _bridge(pixels[window], join), [_open_rim(other)[window] for other in within])
+        bridged = _components(_bridge(pixels[window], join))[1]
+        found = _joined(found, count, [bridged, *(_open_rim(other)[window] for other in within)])
+    labels[window], regions = _measured(found, min_area, left, top)
+    return labels, regions
+
+
+def split_regions(
+    labels: npt.NDArray[np.int32],
+    regions: list[Region],
+    core: Mask,
+    *,
+    min_area: float = 1,
+    within: Sequence[Mask] = (),
+) -> tuple[npt.NDArray[np.int32], list[Region]]:
+    """Split each region that holds several cores; a pixel goes to the nearest core.
+
+    Soft evidence, such as shadows that touch, runs neighbours together. Their cores, the evidence above a higher
+    threshold, tell them apart. Cores that every view connects are parts of one body, as in :func:`find_regions`.
+
+    Parameters
+    ----------
+    labels, regions
+        What :func:`find_regions` returned; not changed.
+    core
+        Bool (H, W), surer evidence.
+    min_area
+        Cores of fewer px do not count.
+    within
+        Bool (H, W) masks of the single views' cores.
+
+    Returns
+    -------
+    labels, regions
+        As :func:`find_regions` returns them; the parts of split regions come last.
+    """
+    if core.dtype != np.bool_ or core.shape != labels.shape:
+        raise ValueError(f"core: expected bool {labels.shape}, got {core.dtype} {core.shape}")
+    left, top, width, height = cv2.boundingRect((core & (labels > 0)).view(np.uint8))
+    window = np.s_[top : top + height, left : left + width]
+    inner = labels[window]
+    count, found = _components((core[window] & (inner > 0)).view(np.uint8), cv2.CCL_WU) if width else (1, inner)
+    if count <= len(regions) + 1 and len(set(inner[found > 0].tolist())) == count - 1:
+        return labels, regions
+    cores, parts = _measured(_joined(found, count, [inner, *(_open_rim(view)[window] for view in within)]), min_area)
+    owner = [int(inner[cores == part.label][0]) for part in parts]
+    split = sorted({label for label in owner if owner.count(label) > 1})
+    if not split:
+        return labels, regions
+    divided = labels.copy()
+    for region in split:
+        seeds = np.isin(cores, [part.label for part, label in zip(parts, owner, strict=True) if label == region])
+        nearest = np.zeros(labels.shape, np.int32)
+        nearest[window] = np.where(seeds, cores, 0)
+        iy, ix = distance_transform_edt(nearest == 0, return_distances=False, return_indices=True)
+        inside = labels == region
+        divided[inside] = len(regions) + nearest[iy[inside], ix[inside]]
+    return _measured(divided, 1)
+
+
+def _measured(
+    found: npt.NDArray[np.int32], min_area: float, left: int = 0, top: int = 0
+) -> tuple[npt.NDArray[np.int32], list[Region]]:
+    """Drop the small ones of numbered regions, number the others 1, 2, ... and measure them."""
+    labels = np.zeros_like(found)
     regions: list[Region] = []
-    for value, (rows, columns) in enumerate(find_objects(found), start=1):
-        own = (found[rows, columns] == value).view(np.uint8)
-        area = cv2.countNonZero(own)
+    for value, box in enumerate(find_objects(found), start=1):
+        if box is None:
+            continue
+        own = found[box] == value
+        area = int(np.count_nonzero(own))
         if area < max(min_area, 1):
             continue
-        moments, x, y = cv2.moments(own, binaryImage=True), left + columns.start, top + rows.start
+        moments, x, y = cv2.moments(own.view(np.uint8), binaryImage=True), left + box[1].start, top + box[0].start
         centroid = (moments["m10"] / area + x, moments["m01"] / area + y)
         regions.append(Region(len(regions) + 1, area, centroid, (x, y, own.shape[1], own.shape[0])))
-        labels[y : y + own.shape[0], x : x + own.shape[1]][own.view(np.bool_)] = len(regions)
+        labels[box][own] = len(regions)
     return labels, regions
 
 
@@ -104,16 +169,12 @@ def _components(pixels: npt.NDArray[Any], algorithm: int = cv2.CCL_DEFAULT) -> t
 
 
 def _joined(
-    fragments: npt.NDArray[np.int32],
-    count: int,
-    bridged: npt.NDArray[np.uint8],
-    within: Sequence[npt.NDArray[np.int32]],
+    fragments: npt.NDArray[np.int32], count: int, connections: Sequence[npt.NDArray[np.int32]]
 ) -> npt.NDArray[np.int32]:
-    """Relabel fragments: one number for those that the bridged mask and every mask of ``within`` connect."""
+    """Relabel fragments: one number for those to which each of the connections gives one number."""
     first = np.full(count, -1)
     flat = fragments.ravel()
     first[flat[::-1]] = np.arange(flat.size - 1, -1, -1)  # the last assignment, the first px in row-major order, stays
-    connections = [_components(bridged)[1], *within]
     groups: dict[tuple[int, ...], int] = {}
     renumber = [0] + [
         groups.setdefault(tuple(int(c.flat[first[i]]) for c in connections), len(groups) + 1) for i in range(1, count)

@@ -20,7 +20,7 @@ from occlib.foreground import (
     threshold_level,
 )
 from occlib.geometry import Image, Mask, Rig
-from occlib.localization import Region, find_regions
+from occlib.localization import Region, find_regions, split_regions
 from occlib.mapping import OccupancyMap, occupancy_map
 from occlib.occlusion import fuse, hidden_fractions
 from occlib.recordings import Recording, check_size
@@ -46,6 +46,9 @@ class Settings:
         :func:`occlib.foreground.threshold_level`.
     min_level
         Grey levels that a threshold found by a rule is never below.
+    core
+        Evidence above this many times the threshold (before ``min_level``) is an object's core; a region with several
+        cores is split. 0: never.
     warp_difference
         Warp the difference and threshold it on the floor, rather than warp the thresholded mask.
     rule
@@ -64,6 +67,7 @@ class Settings:
     smoothing_px: int = 5
     threshold: str | float = "half-otsu"
     min_level: float = 30.0
+    core: float = 1.5
     warp_difference: bool = True
     rule: str = "and"
     join_m: float = 0.2
@@ -78,6 +82,7 @@ PROFILES = {
         colour=False,
         threshold="otsu",
         min_level=0.0,
+        core=0.0,
         warp_difference=False,
         join_m=0.0,
         min_area_m2=0.002,
@@ -186,40 +191,58 @@ class Pipeline:
         missing = [name for name in self.rig.cameras if name not in images]
         if missing:
             raise ValueError(f"images: expected one for every camera, missing {', '.join(missing)}")
-        views = {name: self.view(name, images[name]) for name in self.rig.cameras}
-        occupied = fuse(list(views.values()), self.settings.rule, visible=None if self._everywhere else self._visible)
-        if not self._everywhere:
-            occupied &= self._confirmed
-        labels, regions, hidden = self._objects(occupied, list(views.values()))
+        evidence = [self.evidence(name, images[name]) for name in self.rig.cameras]
+        views = {name: warped > level for name, (warped, level, _) in zip(self.rig.cameras, evidence, strict=True)}
+        occupied = self._fused(list(views.values()))
+        labels, regions = self._regions(occupied, list(views.values()))
+        if self.settings.core and regions:
+            cores = [warped > level for warped, _, level in evidence]
+            smallest = self.settings.min_area_m2 / self.rig.floor.cell_area
+            labels, regions = split_regions(labels, regions, self._fused(cores), min_area=smallest, within=cores)
+        labels, regions, hidden = self._real(labels, regions, list(views.values()))
         seen = [self._observe(region, labels, hidden[i], images) for i, region in enumerate(regions)]
         objects = self.tracker.update(seen, time)
         return FrameResult(time, views, occupied, labels, self._map(labels, views, occupied), objects)
 
-    def view(self, name: str, image: Image) -> Mask:
-        """One camera's foreground on the floor, bool (ny, nx): adjust, subtract, smooth, threshold, warp."""
+    def evidence(self, name: str, image: Image) -> tuple[Image, float, float]:
+        """One camera's evidence on the floor, uint8 (ny, nx), the level above which it is foreground, and that of its core.
+
+        The chain of one view: adjust, subtract, smooth, threshold, warp; or threshold last (``warp_difference``).
+        """
         check_size(image, self.rig[name].size, f"image of {name}")
         how, background = self.settings, self.backgrounds[name]
         difference = smooth(subtract_background(image, background, colour=how.colour), size=how.smoothing_px)
-        level = threshold_level(difference, how.threshold, noise_floor=max(how.min_level, background.noise_floor))
+        found = threshold_level(difference, how.threshold)
+        floor = 0.0 if not isinstance(how.threshold, str) else max(how.min_level, background.noise_floor)
+        level = max(found, floor)
         if how.warp_difference:
-            return self.warps[name].warp(difference) > level
-        return np.asarray(self.warps[name].warp(difference > level), dtype=bool)
+            return self.warps[name].warp(difference), level, max(level, how.core * found)
+        return self.warps[name].warp(difference > level).view(np.uint8), 0.0, 0.0
 
-    def _objects(self, occupied: Mask, views: Sequence[Mask]) -> tuple[npt.NDArray[np.int32], list[Region], Any]:
-        """Labels, regions and hidden fractions (n, cameras) of what is large enough and no ghost."""
+    def _fused(self, views: Sequence[Mask]) -> Mask:
+        if self._everywhere:
+            return np.asarray(fuse(views, self.settings.rule), dtype=bool)
+        return np.asarray(fuse(views, self.settings.rule, visible=self._visible) & self._confirmed, dtype=bool)
+
+    def _regions(self, occupied: Mask, views: Sequence[Mask]) -> tuple[npt.NDArray[np.int32], list[Region]]:
         floor, how = self.rig.floor, self.settings
-        labels, regions = find_regions(
+        return find_regions(
             occupied,
             min_area=how.min_area_m2 / floor.cell_area,
             join=round(how.join_m / floor.resolution),
             within=views if how.rule == "and" else (),
         )
+
+    def _real(
+        self, labels: npt.NDArray[np.int32], regions: list[Region], views: Sequence[Mask]
+    ) -> tuple[npt.NDArray[np.int32], list[Region], Any]:
+        """What is no ghost, with its hidden fractions (n, cameras)."""
         hidden = (
             hidden_fractions(labels, views, self._stations)
             if len(regions) > 1
             else np.zeros((len(regions), len(views)))
         )
-        if how.remove_ghosts and len(views) > 1:
+        if self.settings.remove_ghosts and len(views) > 1:
             real = hidden.min(axis=1, initial=1.0) < 0.5
             if not real.all():
                 renumber = np.concatenate([[0], np.where(real, np.cumsum(real), 0)]).astype(np.int32)

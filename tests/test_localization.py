@@ -14,7 +14,7 @@ from scipy.signal import find_peaks
 from skimage.measure import regionprops
 
 from occlib.geometry import Camera, Rig
-from occlib.localization import Region, ScaleTable, contour, contour_polar, find_regions, scale_table
+from occlib.localization import Region, ScaleTable, contour, contour_polar, find_regions, scale_table, split_regions
 
 Array = np.ndarray[Any, Any]
 masks = arrays(bool, array_shapes(min_dims=2, max_dims=2, min_side=1, max_side=24))
@@ -322,3 +322,54 @@ def test_a_grid_that_does_not_divide_the_picture_covers_all_of_it(tiny_rig: Rig)
     assert (table.lookup([[0, 0], [159, 0], [0, 119], [159, 119]]) > 0).any()
     with pytest.raises(ValueError, match="cell_px: expected px >= 1, got 0"):
         scale_table(camera, cell_px=0)
+
+
+def two_bars() -> tuple[np.ndarray, np.ndarray]:
+    """A mask of two blocks that a thin bridge connects, and the blocks alone."""
+    mask, core = np.zeros((30, 60), bool), np.zeros((30, 60), bool)
+    for columns in (slice(5, 20), slice(35, 55)):
+        mask[8:22, columns] = core[10:20, columns] = True
+    mask[14:16, 20:35] = True
+    return mask, core
+
+
+def test_a_region_with_two_cores_is_split_halfway_between_them() -> None:
+    mask, core = two_bars()
+    labels, regions = find_regions(mask)
+    before = labels.copy()
+    split, parts = split_regions(labels, regions, core, within=[core])
+    assert len(regions) == 1 and len(parts) == 2
+    np.testing.assert_array_equal(labels, before)
+    np.testing.assert_array_equal(split > 0, mask)
+    assert [part.box for part in parts] == [(5, 8, 23, 14), (28, 8, 27, 14)]
+    assert split[14, 26] == 1 and split[14, 29] == 2
+    assert [part.area for part in parts] == [int((split == k).sum()) for k in (1, 2)]
+
+
+def test_cores_that_every_view_connects_or_that_are_small_do_not_split() -> None:
+    mask, core = two_bars()
+    labels, regions = find_regions(mask)
+    for options in ({"within": [mask]}, {"within": [core], "min_area": 180}):
+        split, parts = split_regions(labels, regions, core, **options)
+        np.testing.assert_array_equal(split, labels)
+        assert parts == regions
+    assert len(split_regions(labels, regions, core, within=[mask, core])[1]) == 2
+
+
+@given(seed=st.integers(0, 10_000))
+def test_splitting_keeps_every_pixel_and_never_joins(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    soft = ndimage.uniform_filter(rng.random((24, 32)), 3)
+    labels, regions = find_regions(soft > 0.5)
+    split, parts = split_regions(labels, regions, soft > 0.58, within=[soft > 0.58])
+    np.testing.assert_array_equal(split > 0, labels > 0)
+    assert sum(part.area for part in parts) == sum(region.area for region in regions)
+    for part in parts:
+        assert len(set(labels[split == part.label].tolist())) == 1
+    assert len(parts) >= len(regions)
+
+
+def test_splitting_checks_the_core() -> None:
+    labels, regions = find_regions(np.ones((3, 4), bool))
+    with pytest.raises(ValueError, match=r"core: expected bool \(3, 4\)"):
+        split_regions(labels, regions, np.ones((4, 3), bool))
