@@ -97,6 +97,9 @@ def run(args: argparse.Namespace) -> int:
     settings = settings_for(args.profile, rule=args.rule, threshold=_threshold(args.threshold))
     truth = recording.path / "truth.json"
     known = {int(k): things for k, things in load_truth(truth)["frames"].items()} if truth.exists() else {}
+    learned = [name for name in recording.sources if name not in recording.background_images()]
+    if learned:
+        print(f"no background/ for {', '.join(learned)}: learned from the frames; what never moves is not found")
     lines, out = [], Path(args.out)
     with staged_folder(out) as stage:
         pipeline = Pipeline(recording.rig, backgrounds_of(recording, progress=True), settings)
@@ -141,6 +144,8 @@ def calibrate(args: argparse.Namespace) -> int:
     result = calibrate_images(args.images, parse_pattern(args.pattern), args.square, progress=True)
     (fx, _, cx), (_, fy, cy), _ = result.matrix
     print(f"{result.views_used} of {len(args.images)} pictures used, rms {result.rms_px:.3f} px")
+    worst = int(result.view_rms_px.argmax())
+    print(f"worst picture: {result.images_used[worst]}, rms {result.view_rms_px[worst]:.3f} px")
     print(f"fx {fx:.2f}  fy {fy:.2f}  cx {cx:.2f}  cy {cy:.2f} px")
     print("k1 {:.4f}  k2 {:.4f}  p1 {:.5f}  p2 {:.5f}  k3 {:.4f}".format(*result.distortion))
     if args.out:

@@ -49,8 +49,6 @@ class Settings:
     core
         Evidence above this many times the threshold (before ``min_level``) is an object's core; a region with several
         cores is split. 0: never.
-    warp_difference
-        Warp the difference and threshold it on the floor, rather than warp the thresholded mask.
     rule
         Fusion rule; see :func:`occlib.occlusion.fuse`.
     join_m
@@ -68,7 +66,6 @@ class Settings:
     threshold: str | float = "half-otsu"
     min_level: float = 30.0
     core: float = 1.5
-    warp_difference: bool = True
     rule: str = "and"
     join_m: float = 0.2
     min_area_m2: float = 0.015
@@ -83,14 +80,14 @@ PROFILES = {
         threshold="otsu",
         min_level=0.0,
         core=0.0,
-        warp_difference=False,
         join_m=0.0,
         min_area_m2=0.002,
         position="centroid",
         remove_ghosts=False,
     ),
 }
-"""``paper``: the paper's chain to the letter. ``recommended``: the best that is known."""
+"""``paper``: grey difference, Otsu, AND, centroid, as far as the paper says; noise floor and tracker are ours.
+``recommended``: the best that is known, chosen on the recordings of ``data/lab`` and on ufes-lab."""
 
 
 def settings_for(profile: str = "recommended", **changes: Any) -> Settings:
@@ -207,7 +204,8 @@ class Pipeline:
     def evidence(self, name: str, image: Image) -> tuple[Image, float, float]:
         """One camera's evidence on the floor, uint8 (ny, nx), the level above which it is foreground, and that of its core.
 
-        The chain of one view: adjust, subtract, smooth, threshold, warp; or threshold last (``warp_difference``).
+        The chain of one view: adjust, subtract, smooth, find the threshold, warp. The threshold is applied on the floor, to the
+        transformed view as section 5 has it: thresholding first would stretch hard tiles over the floor.
         """
         check_size(image, self.rig[name].size, f"image of {name}")
         how, background = self.settings, self.backgrounds[name]
@@ -215,9 +213,7 @@ class Pipeline:
         found = threshold_level(difference, how.threshold)
         floor = 0.0 if not isinstance(how.threshold, str) else max(how.min_level, background.noise_floor)
         level = max(found, floor)
-        if how.warp_difference:
-            return self.warps[name].warp(difference), level, max(level, how.core * found)
-        return self.warps[name].warp(difference > level).view(np.uint8), 0.0, 0.0
+        return self.warps[name].warp(difference), level, max(level, how.core * found)
 
     def _fused(self, views: Sequence[Mask]) -> Mask:
         if self._everywhere:

@@ -16,6 +16,7 @@ from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
+from matplotlib.patheffects import withStroke
 
 from occlib.geometry import Camera, FloatArray, Floor, Image, Mask, Rig
 
@@ -90,7 +91,10 @@ def show_map(
     for thing in objects:
         (x, y), (vx, vy) = thing.position_m, thing.velocity_mps
         ax.plot(x, y, "o", color=np.array(thing.colour) / 255, markeredgecolor="white", markersize=7)
-        ax.annotate(str(thing.id), (x, y), xytext=(6, 6), textcoords="offset points", fontsize=8, color="#0072B2")
+        number = ax.annotate(
+            str(thing.id), (x, y), xytext=(6, 6), textcoords="offset points", fontsize=9, color="white"
+        )
+        number.set_path_effects([withStroke(linewidth=2.5, foreground="#0072B2")])  # on black and on white alike
         if np.hypot(vx, vy) > 0.05:
             ax.annotate("", (x + vx, y + vy), (x, y), arrowprops={"arrowstyle": "->", "color": "#0072B2"})
     show_footprints(ax, truth)
@@ -451,6 +455,7 @@ def overview(rig: Rig, images: Mapping[str, Image], result: FrameResult, *, titl
         ax.set(xlim=limits[0], ylim=limits[1])
     show_views_on_floor(fig.add_subplot(grid[1, :columns]), result.views, floor, "foreground on the floor")
     count = f"{len(result.objects)} object{'' if len(result.objects) == 1 else 's'}"
+    count += " (grey: unknown)" if (result.map.data == -1).any() else ""
     show_map(fig.add_subplot(grid[1, columns:]), result.map, result.objects, truth=truth, title=f"map: {count}")
     if title:
         fig.suptitle(title, fontsize=11)

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from occlib import metrics
-from occlib.foreground import Background, foreground_mask, smooth, subtract_background
+from occlib.foreground import Background, otsu_threshold, smooth, subtract_background
 from occlib.geometry import Camera, Floor, Rig
 from occlib.localization import find_regions
 from occlib.mapping import load_map, save_map
@@ -144,14 +144,14 @@ def test_both_profiles_find_the_boxes_in_changed_light(tiny_rig: Rig, draw: Draw
         agree(Pipeline(tiny_rig, draw([]), profile).process(darker, 0.0), boxes, 0.1)
 
 
-def test_the_paper_profile_is_the_papers_chain_to_the_letter(tiny_rig: Rig, draw: Draw) -> None:
+def test_the_paper_profile_is_the_papers_chain(tiny_rig: Rig, draw: Draw) -> None:
     boxes = [box(1.0, 0.8), box(2.9, 2.2, colour=(20, 20, 60))]
     images, empty = draw(boxes), draw([])
     result = Pipeline(tiny_rig, empty, settings_for("paper")).process(images, 0.0)
     views = []
     for name, camera in tiny_rig.cameras.items():
-        mask = foreground_mask(images[name], Background(empty[name]), threshold="otsu", colour=False)
-        views.append(FloorWarp(camera, tiny_rig.floor).warp(mask))
+        difference = smooth(subtract_background(images[name], Background(empty[name]), colour=False))
+        views.append(FloorWarp(camera, tiny_rig.floor).warp(difference) > max(8, otsu_threshold(difference)))
     np.testing.assert_array_equal(result.occupied, fuse(views, "and"))
     _, regions = find_regions(result.occupied)
     cells = tiny_rig.floor.cells([thing.position_m for thing in result.objects])
@@ -455,12 +455,12 @@ def test_ufes_lab_two_people_in_a_real_room(shared_data: Callable[[str], Path]) 
     """About 30 s: the background is learned from frames that are never empty."""
     recording = open_recording(shared_data("ufes-lab"), ["cam2", "cam3"])
     truth = metrics.load_truth(recording.path / "truth.json")
-    pipeline = Pipeline(recording.rig, backgrounds_of(recording))
-    frames = range(40, 149, 4)
-    detections = {
-        frame: [thing.to_dict() for thing in pipeline.process(images, recording.time(frame)).objects]
-        for frame, images in recording.images(frames)
-    }
+    backgrounds, frames = backgrounds_of(recording), range(40, 149, 4)
+    pipeline, paper = (Pipeline(recording.rig, backgrounds, settings) for settings in PROFILES.values())
+    detections, papers = {}, {}
+    for frame, images in recording.images(frames):
+        detections[frame] = [thing.to_dict() for thing in pipeline.process(images, recording.time(frame)).objects]
+        papers[frame] = [thing.to_dict() for thing in paper.process(images, recording.time(frame)).objects]
     truth["frames"] = {key: things for key, things in truth["frames"].items() if int(key) in frames}
     scored = metrics.evaluate(detections, truth, roi="cam2+cam3", radius=0.5)
     assert scored.moda is not None and scored.moda >= 0.92
@@ -469,3 +469,5 @@ def test_ufes_lab_two_people_in_a_real_room(shared_data: Callable[[str], Path]) 
     readme = " ".join((Path(__file__).parents[1] / "README.md").read_text(encoding="utf-8").split())
     assert f"MODA {scored.moda:.2f} and a median position error of {scored.error_median_m:.2f} m" in readme
     assert f"`cam2+cam3 wide` MODA is {wide.moda:.2f}" in readme
+    theirs = metrics.evaluate(papers, truth, roi="cam2+cam3", radius=0.5)
+    assert f"the paper's settings give MODA {theirs.moda:.2f}" in readme
