@@ -287,7 +287,7 @@ def calibrate_images(
         if corners is not None:
             corner_sets.append(corners)
         (skipped if corners is None else used).append(Path(path).name)
-        if progress:
+        if progress and sys.stderr.isatty():
             print(f"{path}: {'no board, skipped' if corners is None else 'board found'}", file=sys.stderr)
     if size is None or len(used) < _MIN_VIEWS:
         what = f"a {pattern[0]}x{pattern[1]} board is in {len(used)} of {len(paths)} images"

@@ -5,7 +5,9 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import signal
 import sys
+import threading
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -103,7 +105,9 @@ def run(args: argparse.Namespace) -> int:
     lines, out = [], Path(args.out)
     with staged_folder(out) as stage:
         pipeline = Pipeline(recording.rig, backgrounds_of(recording, progress=True), settings)
-        for frame, images in tqdm(recording.images(frames), total=len(frames), unit="frame", desc=recording.path.name):
+        for frame, images in tqdm(
+            recording.images(frames), total=len(frames), unit="frame", desc=recording.path.name, disable=None
+        ):
             result = pipeline.process(images, recording.time(frame))
             objects = [thing.to_dict() for thing in result.objects]
             lines.append(json.dumps({"frame": frame, "time": round(result.time, 6), "objects": objects}))
@@ -188,6 +192,11 @@ def data(args: argparse.Namespace) -> int:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command; 0 on success, else a one-line error on stderr and another number."""
     args = build_parser().parse_args(arguments)
+    if (
+        threading.current_thread() is threading.main_thread()
+    ):  # a closing terminal or `timeout` ends a run as Ctrl-C does
+        for name in {"SIGTERM", "SIGHUP"} & set(dir(signal)):
+            signal.signal(getattr(signal, name), signal.default_int_handler)
     try:
         status = int(args.function(args))
         sys.stdout.flush()

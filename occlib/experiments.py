@@ -46,6 +46,7 @@ from occlib.notebooks import (
     order,
     override,
     select_notebooks,
+    uninterrupted,
 )
 from occlib.recordings import write_file
 
@@ -337,10 +338,13 @@ def _publish(home: Path, runs: Sequence[Run]) -> list[str]:
         with tempfile.TemporaryDirectory(dir=figures, prefix=".publish-") as aside:
             for name, content in changed.items():
                 write_file(Path(aside) / name, content)
-            for name in changed:
-                os.replace(Path(aside) / name, figures / name)
-            for name in stale:
-                (figures / name).unlink()
+            if blocked := [name for name in changed if (figures / name).is_dir()]:
+                raise ValueError(f"{figures / blocked[0]}: cannot write (is a directory)")
+            with uninterrupted():
+                for name in changed:
+                    os.replace(Path(aside) / name, figures / name)
+                for name in stale:
+                    (figures / name).unlink()
     except OSError as error:
         raise ValueError(f"{figures}: cannot write ({error.strerror})") from None
     return [*changed, *(f"{name} (removed)" for name in stale)]
@@ -348,8 +352,8 @@ def _publish(home: Path, runs: Sequence[Run]) -> list[str]:
 
 def _differences(home: Path, runs: Sequence[Run]) -> list[str]:
     """One line for each metric that is out of tolerance, new or missing, and each figure new or missing."""
-    names = {run.notebook for run in runs}
-    before = {order(row): row for row in _published_metrics(home) if row["notebook"] in names}
+    others = {path.stem for path in select_notebooks(None, home)} - {run.notebook for run in runs}
+    before = {order(row): row for row in _published_metrics(home) if row["notebook"] not in others}
     after = {order(row): row for run in runs for row in run.metrics}
     lines = []
     for key in sorted(before | after):

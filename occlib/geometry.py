@@ -94,7 +94,7 @@ class Floor:
         if not (np.isfinite(self.resolution) and self.resolution > 0):
             raise ValueError(f"floor.resolution: expected metres per cell > 0, got {self.resolution}")
         cells = [(high - low) / self.resolution for low, high in (self.x, self.y)]
-        if not cells[0] * cells[1] < 100_000_000:
+        if not (max(cells) <= 32_766 and cells[0] * cells[1] <= 20_000_000):  # OpenCV's limit; 150 bytes a cell
             raise ValueError(f"floor: {cells[0]:.6g} x {cells[1]:.6g} cells are too many; raise floor.resolution")
 
     @property

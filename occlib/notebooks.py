@@ -187,15 +187,29 @@ def execute(runs: Sequence[Run], jobs: int, home: Path, progress: bool) -> None:
 
 @contextmanager
 def _stoppable() -> Iterator[None]:
-    """Let SIGTERM (``timeout``, a closing terminal) stop the notebooks as Ctrl-C does."""
-    if threading.current_thread() is not threading.main_thread():
+    """Let SIGTERM and SIGHUP (``timeout``, a closing terminal) stop the notebooks as Ctrl-C does."""
+    with _handling(signal.default_int_handler):
         yield
-        return
-    previous = signal.signal(signal.SIGTERM, signal.default_int_handler)
+
+
+@contextmanager
+def uninterrupted() -> Iterator[None]:
+    """Let nothing but ``kill -9`` stop what must not be left half-done."""
+    with _handling(signal.SIG_IGN, "SIGINT"):
+        yield
+
+
+@contextmanager
+def _handling(handler: Any, *more: str) -> Iterator[None]:
+    names = {"SIGTERM", "SIGHUP", *more} & set(dir(signal))  # Windows has no SIGHUP
+    if threading.current_thread() is not threading.main_thread():
+        names = set()
+    previous = {name: signal.signal(getattr(signal, name), handler) for name in names}
     try:
         yield
     finally:
-        signal.signal(signal.SIGTERM, previous)
+        for name, before in previous.items():
+            signal.signal(getattr(signal, name), before)
 
 
 def _start(run: Run, work: Path) -> subprocess.Popen[bytes]:
@@ -237,12 +251,16 @@ def _work(folder: str, output: str, parameters: str) -> None:
 
 def _failure(run: Run, work: Path, home: Path) -> str:
     """What went wrong, in one line; the half-executed copy is kept beside the last good results."""
+    half = work / f"{run.notebook}.ipynb"
     if (work / "error.json").exists():
         reason = str(load_json(work / "error.json"))
     else:
         log = (work / "log.txt").read_text(encoding="utf-8", errors="replace").strip()
         reason = f"stopped: {log.splitlines()[-1] if log else 'no message'}"
-    half = work / f"{run.notebook}.ipynb"
+        if half.exists():  # a kernel that died says nothing: the first cell without a number was running
+            code = [cell for cell in _read_notebook(half)["cells"] if cell["cell_type"] == "code"]
+            number = next((i for i, cell in enumerate(code, 1) if not cell.get("execution_count")), len(code))
+            reason = f"cell {number} {reason}"
     if half.exists():
         write_file(run.folder / "failed.ipynb", half.read_bytes())
         reason += f"; see {(run.folder / 'failed.ipynb').relative_to(home)}"

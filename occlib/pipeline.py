@@ -22,7 +22,7 @@ from occlib.foreground import (
 from occlib.geometry import Image, Mask, Rig
 from occlib.localization import Region, find_regions, split_regions
 from occlib.mapping import OccupancyMap, occupancy_map
-from occlib.occlusion import fuse, hidden_fractions
+from occlib.occlusion import RULES, fuse, hidden_fractions
 from occlib.recordings import Recording, check_size
 from occlib.registration import FloorWarp
 from occlib.tracking import ObjectVector, Observation, Tracker
@@ -71,6 +71,13 @@ class Settings:
     min_area_m2: float = 0.015
     position: str = "middle"
     remove_ghosts: bool = True
+
+    def __post_init__(self) -> None:
+        if self.rule not in RULES:
+            raise ValueError(f"rule: expected one of {', '.join(RULES)}, got {self.rule!r}")
+        if self.position not in ("centroid", "middle"):
+            raise ValueError(f"position: expected centroid or middle, got {self.position!r}")
+        threshold_level(np.zeros((1, 1), np.uint8), self.threshold)  # an unknown one is found out now
 
 
 PROFILES = {
@@ -156,8 +163,6 @@ class Pipeline:
         missing = [name for name in rig.cameras if name not in backgrounds]
         if missing:
             raise ValueError(f"backgrounds: expected one for every camera, missing {', '.join(missing)}")
-        if settings.position not in ("centroid", "middle"):
-            raise ValueError(f"position: expected centroid or middle, got {settings.position!r}")
         self.rig, self.settings, self.tracker = rig, settings, Tracker()
         self.backgrounds = {name: as_background(backgrounds[name]) for name in rig.cameras}
         for name, background in self.backgrounds.items():
@@ -218,7 +223,8 @@ class Pipeline:
     def _fused(self, views: Sequence[Mask]) -> Mask:
         if self._everywhere:
             return np.asarray(fuse(views, self.settings.rule), dtype=bool)
-        return np.asarray(fuse(views, self.settings.rule, visible=self._visible) & self._confirmed, dtype=bool)
+        fused = np.asarray(fuse(views, self.settings.rule, visible=self._visible), dtype=bool)
+        return fused & self._confirmed if self.settings.rule == "and" else fused
 
     def _regions(self, occupied: Mask, views: Sequence[Mask]) -> tuple[npt.NDArray[np.int32], list[Region]]:
         floor, how = self.rig.floor, self.settings
@@ -232,14 +238,17 @@ class Pipeline:
     def _real(
         self, labels: npt.NDArray[np.int32], regions: list[Region], views: Sequence[Mask]
     ) -> tuple[npt.NDArray[np.int32], list[Region], Any]:
-        """What is no ghost, with its hidden fractions (n, cameras)."""
+        """What is no ghost, with its hidden fractions (n, cameras): NaN where a view sees no cell of the object."""
         hidden = (
             hidden_fractions(labels, views, self._stations)
             if len(regions) > 1
             else np.zeros((len(regions), len(views)))
         )
-        if self.settings.remove_ghosts and len(views) > 1:
-            real = hidden.min(axis=1, initial=1.0) < 0.5
+        if regions and not self._everywhere:
+            cells = [np.bincount(labels[seen], minlength=len(regions) + 1)[1:] for seen in self._visible]
+            hidden[np.column_stack(cells) == 0] = np.nan
+        if self.settings.remove_ghosts and len(views) > 1 and regions:
+            real = np.nanmin(hidden, axis=1) < 0.5
             if not real.all():
                 renumber = np.concatenate([[0], np.where(real, np.cumsum(real), 0)]).astype(np.int32)
                 labels, hidden = renumber[labels], hidden[real]
@@ -253,7 +262,7 @@ class Pipeline:
             float(low + (c + 0.5) * floor.resolution) for low, c in zip((floor.x[0], floor.y[0]), cell, strict=True)
         )
         names = list(self.rig.cameras)
-        best = names[int(np.argmin(hidden))]
+        best = names[int(np.nanargmin(hidden))]
         return Observation(
             position_m=(x, y),
             area_m2=region.area * floor.cell_area,
@@ -274,14 +283,14 @@ class Pipeline:
         return (round(float(r)), round(float(g)), round(float(b)))
 
     def _map(self, labels: Image, views: Mapping[str, Mask], occupied: Mask) -> OccupancyMap:
-        """Occupied where an object is; free where a view looks at bare floor; else unknown."""
+        """Occupied where an object is; free where a view looks at bare floor; else, as under a ghost, unknown."""
         known = self._seen
         if not self._everywhere:
             shaded = np.logical_and.reduce(
                 [view | ~seen for view, seen in zip(views.values(), self._visible, strict=True)]
             )
             known = known & ~(shaded & ~self._confirmed)
-        return occupancy_map(labels > 0, known, self.rig.floor)
+        return occupancy_map(labels > 0, known & ~occupied, self.rig.floor)
 
 
 def backgrounds_of(recording: Recording, *, samples: int = 60, progress: bool = False) -> dict[str, Background]:
@@ -290,6 +299,6 @@ def backgrounds_of(recording: Recording, *, samples: int = 60, progress: bool = 
     if len(backgrounds) < len(recording.sources):
         pictures = recording.sample(samples)
         unknown = [name for name in pictures if name not in backgrounds]
-        for name in tqdm(unknown, desc="learning the background", unit="camera", disable=not progress):
+        for name in tqdm(unknown, desc="learning the background", unit="camera", disable=None if progress else True):
             backgrounds[name] = learn_background(pictures[name])
     return {name: backgrounds[name] for name in recording.sources}

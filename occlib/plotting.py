@@ -458,7 +458,7 @@ def overview(rig: Rig, images: Mapping[str, Image], result: FrameResult, *, titl
     count += " (grey: unknown)" if (result.map.data == -1).any() else ""
     show_map(fig.add_subplot(grid[1, columns:]), result.map, result.objects, truth=truth, title=f"map: {count}")
     if title:
-        fig.suptitle(title, fontsize=11)
+        fig.suptitle(title, fontsize=11, parse_math=False)
     return fig
 
 

@@ -10,6 +10,7 @@ import os
 import re
 import shutil
 import tempfile
+import zlib
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -26,6 +27,7 @@ VIDEO_SUFFIXES = (".mp4", ".avi")
 DATA = Path(__file__).resolve().parent.parent / "data"
 LAB = DATA / "lab"
 DEFAULT_FPS = 10.0
+PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 
 os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # a corrupt video is reported here, in one line, not by FFmpeg
 
@@ -73,8 +75,11 @@ def staged_folder(path: str | Path) -> Iterator[Path]:
             raise ValueError(f"{target}: cannot write ({error.strerror})") from None
         yield temporary
         try:
-            for file in sorted(p for p in temporary.rglob("*") if p.is_file()):
-                final = target / file.relative_to(temporary)
+            files = sorted(p for p in temporary.rglob("*") if p.is_file())
+            targets = [target / file.relative_to(temporary) for file in files]
+            if blocked := [final for final in targets if final.is_dir()]:
+                raise ValueError(f"{blocked[0]}: cannot write (is a directory)")
+            for file, final in zip(files, targets, strict=True):
                 final.parent.mkdir(parents=True, exist_ok=True)
                 os.replace(file, final)
         except OSError as error:
@@ -92,10 +97,25 @@ def read_image(path: str | Path) -> Image:
         data = np.frombuffer(Path(path).read_bytes(), np.uint8)
     except OSError as error:
         raise ValueError(f"{path}: cannot read the image ({error.strerror})") from None
-    image = cv2.imdecode(data, cv2.IMREAD_COLOR) if len(data) else None
+    whole = len(data) > 0 and (data[:8].tobytes() != PNG_SIGNATURE or _whole_png(data.tobytes()))
+    image = cv2.imdecode(data, cv2.IMREAD_COLOR) if whole else None  # a cut PNG would make libpng talk on stderr
     if image is None:
         raise ValueError(f"{path}: corrupt or not an image (expected PNG or JPEG)")
     return cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
+
+
+def _whole_png(data: bytes) -> bool:
+    """Whether every chunk of a PNG is there and has its checksum."""
+    at = 8
+    while len(data) >= at + 12:
+        length = int.from_bytes(data[at : at + 4], "big")
+        name, check = data[at + 4 : at + 8], data[at + 8 + length : at + 12 + length]
+        if int.from_bytes(check, "big") != zlib.crc32(data[at + 4 : at + 8 + length]) or len(check) < 4:
+            return False
+        if name == b"IEND":
+            return True
+        at += 12 + length
+    return False
 
 
 def encode_image(suffix: str, image: Image, *, quality: int = 92) -> bytes:
@@ -205,8 +225,7 @@ def open_recording(path: str | Path, cameras: Sequence[str] | None = None) -> Re
         In one line: no such folder, unreadable rig, a camera that is not in the rig or has no frames,
         views of different length.
     """
-    places = [place for place in (Path(path), LAB / path, cache_folder() / path) if place.is_dir()]
-    folder = next((place for place in places if (place / "rig.yaml").exists()), next(iter(places), None))
+    folder = next((place for place in (Path(path), LAB / path, cache_folder() / path) if place.is_dir()), None)
     if folder is None:
         if str(path) in public_recordings():
             raise ValueError(f"{path}: not fetched yet; first: occlib data fetch {path}")

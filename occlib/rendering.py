@@ -22,7 +22,7 @@ import numpy.typing as npt
 import yaml
 
 from occlib.geometry import Camera, FloatArray, Image, Mask, Rig
-from occlib.recordings import LAB, encode_image, read_yaml, write_file
+from occlib.recordings import LAB, encode_image, read_yaml, staged_folder, write_file
 from occlib.synthetic import (
     BOARD_PATTERN,
     Board,
@@ -385,13 +385,17 @@ def render(
         raise ValueError(f"frames: expected 0 to {scene.frames - 1}, got {wrong[0]}")
     if spp < 1:
         raise ValueError(f"spp: expected 1 or more samples per pixel, got {spp}")
-    out = Path(out)
     cameras = {n: scaled_camera(c, scale) for n, c in scene.rig.cameras.items()}
     scene = replace(scene, rig=Rig(scene.rig.floor, cameras))
-    quality = int(scene.room["sensor"]["jpeg_quality"])
     total = len(cameras) * (len(chosen) + (scene.background > 0) + (scene.floor_board is not None))
-    bar = tqdm(total=total, desc=scene.name, disable=not progress)
-    studio = Studio(scene, spp=spp)
+    bar = tqdm(total=total, desc=scene.name, disable=None if progress else True)
+    with bar, staged_folder(out) as stage:
+        _write_recording(scene, Studio(scene, spp=spp), chosen, stage, bar)
+    return Path(out)
+
+
+def _write_recording(scene: Scene, studio: Studio, chosen: list[int], out: Path, bar: Any) -> None:
+    quality, cameras = int(scene.room["sensor"]["jpeg_quality"]), scene.rig.cameras
     for name in cameras:  # camera by camera: its rays and its empty room are used again
         for i in range(scene.background):
             picture = studio.photograph(studio.radiance(name, None), name, "background", i)
@@ -410,13 +414,11 @@ def render(
             write_file(out / "floor" / f"{name}.jpg", encode_image(".jpg", picture, quality=quality))
             bar.update()
         write_file(out / "floor_marks.yaml", _yaml(floor_marks(scene)))
-    bar.close()
     write_file(out / "rig.yaml", _yaml({"fps": scene.fps, **scene.rig.to_dict()}))
     truth = ground_truth(scene, frames=chosen)
     lines = [f"{json.dumps(k)}: {json.dumps(v)}" for k, v in truth.pop("frames").items()]
     head = json.dumps(truth)[:-1]  # one frame a line: short, and still readable
     write_file(out / "truth.json", (head + ', "frames": {\n' + ",\n".join(lines) + "\n}}\n").encode())
-    return out
 
 
 def _yaml(content: Any) -> bytes:

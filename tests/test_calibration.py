@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -189,7 +190,10 @@ def test_views_that_do_not_fix_the_camera() -> None:
             cal.calibrate(corner_sets, board, SIZE)
 
 
-def test_images_without_a_board_are_skipped_and_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_images_without_a_board_are_skipped_and_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True, raising=False)
     paths = [write_image(tmp_path / "empty.png", np.full((240, 320), 128, np.uint8))]
     paths += [write_image(tmp_path / f"{i}.png", drawn_board(tilt=0.1 * i)[0]) for i in range(2)]
     message = "images: a 9x6 board is in 2 of 3 images, at least 3 are needed"

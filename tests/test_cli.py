@@ -96,11 +96,19 @@ def test_wrong_usage(arguments: list[str], capsys: pytest.CaptureFixture[str]) -
 
 
 # --- run -------------------------------------------------------------------------------------------
+def test_a_terminal_gets_a_progress_bar(
+    tiny_recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True, raising=False)
+    run(tiny_recording, tmp_path / "out")
+    assert "100%" in capsys.readouterr().err
+
+
 def test_run_writes_the_contract(tiny_recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     lines = run(tiny_recording, tmp_path / "out")
     said = capsys.readouterr()
     assert "5 frames" in said.out
-    assert "100%" in said.err  # progress
+    assert said.err == ""  # no progress bar where nobody watches
     assert sorted(p.name for p in (tmp_path / "out").iterdir()) == sorted(RESULTS)
     assert [(line["frame"], line["time"]) for line in lines] == [(i, pytest.approx(i / 10)) for i in range(5)]
     for i, line in enumerate(lines):

@@ -266,7 +266,7 @@ def test_two_notebooks_may_not_make_the_same_figure(copy: Path) -> None:
             r"^02_count: cell 3 \(# Figure 1\) failed: ZeroDivisionError: division by zero; see runs",
         ),
         ("for", r"^02_count: cell 3 \(for\) failed: SyntaxError: invalid syntax.*; see runs"),
-        ("import os\nos._exit(3)", r"^02_count: stopped: .*Kernel died"),
+        ("import os\nos._exit(3)", r"^02_count: cell 3 stopped: .*Kernel died"),
     ],
     ids=["error", "syntax", "dead"],
 )

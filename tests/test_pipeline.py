@@ -116,7 +116,7 @@ def test_a_ghost_between_two_objects_is_removed(tiny_rig: Rig, draw: Draw) -> No
     result = Pipeline(tiny_rig, draw([])).process(draw(boxes), 0.0)
     agree(result, boxes, 0.15)
     ix, iy = np.rint(tiny_rig.floor.cells([ghost])[0]).astype(int)
-    assert with_ghost.map.data[iy, ix] == 100 and result.map.data[iy, ix] == 0
+    assert with_ghost.map.data[iy, ix] == 100 and result.map.data[iy, ix] == -1  # unknown, not free
     assert result.occupied[iy, ix]  # the evidence itself is kept
     assert sorted(np.unique(result.labels)) == [0, 1, 2]
 
@@ -471,3 +471,37 @@ def test_ufes_lab_two_people_in_a_real_room(shared_data: Callable[[str], Path]) 
     assert f"`cam2+cam3 wide` MODA is {wide.moda:.2f}" in readme
     theirs = metrics.evaluate(papers, truth, roi="cam2+cam3", radius=0.5)
     assert f"the paper's settings give MODA {theirs.moda:.2f}" in readme
+
+
+def test_a_view_that_sees_nothing_of_an_object_says_nothing_about_it(tiny_rig: Rig, draw: Draw) -> None:
+    """Neither is its colour read there, nor does it speak for a ghost."""
+    boxes = [box(1.0, 1.5, colour=(200, 30, 30)), box(3.0, 1.5, colour=(30, 30, 200))]
+    blind = {name: np.zeros(tiny_rig.floor.shape, bool) for name in tiny_rig.cameras}
+    whole = Pipeline(tiny_rig, draw([])).process(draw(boxes), 0.0)
+    first = next(iter(tiny_rig.cameras))
+    third = Camera("third", *(getattr(tiny_rig[first], f) for f in ("size", "matrix", "distortion", "image_to_floor")))
+    pipeline = Pipeline(
+        Rig(tiny_rig.floor, {"third": third, **tiny_rig.cameras}), {"third": draw([])[first], **draw([])}
+    )
+    pipeline._visible[0] = blind[first]
+    pipeline._everywhere = False
+    pipeline._confirmed = np.sum(pipeline._visible, axis=0) >= 2
+    result = pipeline.process({"third": np.zeros_like(draw([])[first]), **draw(boxes)}, 0.0)
+    assert [t.colour for t in result.objects] == [t.colour for t in whole.objects]
+    assert all("third" not in thing.hidden_in for thing in result.objects)
+
+
+def test_or_keeps_what_one_view_alone_can_see(tiny_rig: Rig, draw: Draw) -> None:
+    boxes = [box(1.0, 1.5)]
+    for rule, kept in (("and", False), ("or", True)):
+        pipeline = Pipeline(tiny_rig, draw([]), settings_for(rule=rule))
+        pipeline._visible[0] = np.zeros(tiny_rig.floor.shape, bool)
+        pipeline._everywhere = False
+        pipeline._confirmed = np.sum(pipeline._visible, axis=0) >= 2
+        assert pipeline.process(draw(boxes), 0.0).occupied.any() == kept
+
+
+@pytest.mark.parametrize("bad", [{"rule": "xor"}, {"threshold": "ostu"}, {"threshold": -1.0}, {"position": "corner"}])
+def test_settings_are_checked_before_any_work(bad: dict[str, Any]) -> None:
+    with pytest.raises(ValueError, match=next(iter(bad))):
+        settings_for(**bad)
