@@ -232,7 +232,9 @@ def subtract_background(image: Image, background: Background, *, adjust: bool = 
     frame, reference = (image, background.image) if colour else (to_grey(image), background.grey)
     if adjust:
         frame = adjust_intensity(frame, reference)
-    difference = cv2.absdiff(frame, reference)
+        difference = cv2.absdiff(frame, reference, dst=frame)  # a new picture, and nobody else's: spare a large array
+    else:
+        difference = cv2.absdiff(frame, reference)
     return np.asarray(cv2.cvtColor(difference, cv2.COLOR_RGB2GRAY) if colour else difference)
 
 

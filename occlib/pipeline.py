@@ -206,7 +206,7 @@ class Pipeline:
         objects = self.tracker.update(seen, time)
         return FrameResult(time, views, occupied, labels, self._map(labels, views, occupied), objects)
 
-    def evidence(self, name: str, image: Image) -> tuple[Image, float, float]:
+    def evidence(self, name: str, image: Image) -> tuple[Image, int, int]:
         """One camera's evidence on the floor, uint8 (ny, nx), the level above which it is foreground, and that of its core.
 
         The chain of one view: adjust, subtract, smooth, find the threshold, warp. The threshold is applied on the floor, to the
@@ -218,7 +218,8 @@ class Pipeline:
         found = threshold_level(difference, how.threshold)
         floor = 0.0 if not isinstance(how.threshold, str) else max(how.min_level, background.noise_floor)
         level = max(found, floor)
-        return self.warps[name].warp(difference), level, max(level, how.core * found)
+        # whole levels: the same decision on whole grey levels, without a detour through floats
+        return self.warps[name].warp(difference), int(level), int(max(level, how.core * found))
 
     def _fused(self, views: Sequence[Mask]) -> Mask:
         if self._everywhere:
