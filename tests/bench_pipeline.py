@@ -17,14 +17,15 @@ from occlib.pipeline import PROFILES, Pipeline, backgrounds_of
 from occlib.recordings import open_recording
 
 
-def median_ms(function: Callable[[], object], repeats: int = 200) -> float:
-    """Median time of a call in ms."""
-    times = []
-    for _ in range(repeats):
-        start = time.perf_counter()
-        function()
-        times.append(time.perf_counter() - start)
-    return float(np.median(times[repeats // 10 :]) * 1e3)
+def median_ms(*functions: Callable[[], object], repeats: int = 300) -> list[float]:
+    """Median time of a call of each function in ms; they take turns, so that a busy machine slows them alike."""
+    times = np.empty((repeats, len(functions)))
+    for row in times:
+        for i, function in enumerate(functions):
+            start = time.perf_counter()
+            function()
+            row[i] = time.perf_counter() - start
+    return [float(t) for t in np.median(times[repeats // 10 :], axis=0) * 1e3]
 
 
 def main() -> None:
@@ -45,17 +46,14 @@ def main() -> None:
             masks.append(cv2.warpPerspective(mask, homographies[name], (nx, ny)))
         return cv2.connectedComponentsWithStats(cv2.bitwise_and(*masks))
 
-    rows = []
-    for profile, settings in PROFILES.items():
-        pipeline, clock = Pipeline(recording.rig, backgrounds, settings), count()
-        before = median_ms(bare)
-        whole = median_ms(lambda p=pipeline, c=clock: p.process(images, next(c) / 10))  # type: ignore[misc]
-        reference = (before + median_ms(bare)) / 2
-        rows.append(
-            {"profile": profile, "bare OpenCV (ms)": reference, "pipeline (ms)": whole, "ratio": whole / reference}
-        )
+    clock = count()
+    pipelines = [Pipeline(recording.rig, backgrounds, settings) for settings in PROFILES.values()]
+    calls = [lambda p=pipeline: p.process(images, next(clock) / 10) for pipeline in pipelines]  # type: ignore[misc]
+    reference, *whole = median_ms(bare, *calls)
+    table = pd.DataFrame({"pipeline (ms)": whole, "bare OpenCV (ms)": reference}, index=list(PROFILES))
+    table["ratio"] = table["pipeline (ms)"] / table["bare OpenCV (ms)"]
     print(f"one VGA pair to a {nx} x {ny} map, one thread, OpenCV {cv2.__version__}")
-    print(pd.DataFrame(rows).round(2).to_string(index=False))
+    print(table.round(2).to_string())
 
 
 if __name__ == "__main__":
