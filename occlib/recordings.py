@@ -246,6 +246,8 @@ def open_recording(path: str | Path, cameras: Sequence[str] | None = None) -> Re
             fps = video_fps if fps is None else fps
         else:
             raise ValueError(f"{folder}: no frames for camera {name!r} (expected frames/{name}/*.png|jpg or .mp4|avi)")
+    if any(isinstance(source, Path) for source in sources.values()):  # a video has no names, so its index is the number
+        numbers = {name: tuple(range(len(frames))) for name, frames in numbers.items()}
     first, *others = numbers
     for other in others:
         if numbers[other] != numbers[first]:
@@ -293,8 +295,8 @@ def _pictures(folder: Path) -> list[Path]:
 
 
 def _number(path: Path) -> int | None:
-    digits = re.search(r"(\d+)$", path.stem)
-    return int(digits[1]) if digits else None
+    digits = re.findall(r"\d+$", path.stem) or re.findall(r"\d+", path.stem)
+    return int(digits[0]) if len(digits) == 1 else None
 
 
 def _numbers(pictures: Sequence[Path]) -> tuple[int, ...]:

@@ -651,3 +651,18 @@ def test_a_folder_in_the_way_stops_everything_before_anything_moves(tmp_path: Pa
             for name in ("a.txt", "b.txt"):
                 (stage / name).write_text("new")
     assert sorted(p.name for p in (tmp_path / "out").iterdir()) == ["b.txt"]
+
+
+def test_a_number_anywhere_in_the_name_counts_if_it_is_the_only_one(tiny_recording: Path) -> None:
+    for folder in (tiny_recording / "frames").iterdir():
+        for path in sorted(folder.iterdir()):
+            path.rename(path.with_name(f"{int(path.stem) + 40:04d}_{folder.name}{path.suffix}"))
+    assert recordings.open_recording(tiny_recording).frames[:2] == (40, 41)
+
+
+def test_pictures_beside_a_video_are_counted_from_its_first_frame(tiny_recording: Path) -> None:
+    pictures = sorted((tiny_recording / "frames/right").iterdir())
+    for path in reversed(pictures):
+        path.rename(path.with_stem(f"{int(path.stem) + 1:04d}"))
+    use_videos(tiny_recording, {"left": len(pictures)}, ".avi")
+    assert recordings.open_recording(tiny_recording).frames == tuple(range(len(pictures)))
