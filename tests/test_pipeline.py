@@ -505,3 +505,14 @@ def test_or_keeps_what_one_view_alone_can_see(tiny_rig: Rig, draw: Draw) -> None
 def test_settings_are_checked_before_any_work(bad: dict[str, Any]) -> None:
     with pytest.raises(ValueError, match=next(iter(bad))):
         settings_for(**bad)
+
+
+def test_cores_part_robots_whose_shadows_touch() -> None:
+    recording = open_recording("four_robots", ["left", "right"])
+    backgrounds = backgrounds_of(recording)
+    (_, images), *_ = recording.images([52])
+    count = {
+        core: len(Pipeline(recording.rig, backgrounds, settings_for(core=core)).process(images, 5.2).objects)
+        for core in (0.0, PROFILES["recommended"].core)
+    }
+    assert count == {0.0: 3, 1.5: 4}
