@@ -66,18 +66,6 @@ def apply_homography(homography: npt.ArrayLike, points: npt.ArrayLike) -> FloatA
     return xyw[:, :2] / w
 
 
-def homography_area_scale(homography: npt.ArrayLike, points: npt.ArrayLike) -> FloatArray:
-    """Area in the target plane of one unit of area at each source point: ``|det J| = |det H / w^3|``.
-
-    For ``image_to_floor`` this is square metres per pixel, the scale factor of the paper's
-    look-up table (section 4). Returns shape (N,).
-    """
-    matrix = np.asarray(homography, dtype=np.float64)
-    xy = as_points(points)
-    w = np.column_stack([xy, np.ones(len(xy))]) @ matrix[2]
-    return np.abs(np.linalg.det(matrix) / w**3)
-
-
 @dataclass(frozen=True)
 class Floor:
     """The mapped rectangle of floor: ``x`` and ``y`` are (min, max) in m, ``resolution`` m per cell."""

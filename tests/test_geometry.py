@@ -20,7 +20,6 @@ from occlib.geometry import (
     Rig,
     apply_homography,
     as_points,
-    homography_area_scale,
     invert_homography,
 )
 
@@ -83,14 +82,6 @@ def test_a_homography_has_no_scale(scale: float) -> None:
     homography = camera().image_to_floor
     assert np.allclose(invert_homography(scale * homography), invert_homography(homography), rtol=1e-9)
     assert np.allclose(apply_homography(scale * homography, [[300, 400]]), apply_homography(homography, [[300, 400]]))
-
-
-def test_area_scale_is_the_area_of_a_small_square() -> None:
-    homography, step = camera().image_to_floor, 1e-3
-    for u, v in [(100.0, 400.0), (320.0, 240.0), (600.0, 300.0)]:
-        a, b, c = apply_homography(homography, [[u, v], [u + step, v], [u, v + step]])
-        area = abs(np.linalg.det([b - a, c - a])) / step**2
-        assert homography_area_scale(homography, [[u, v]])[0] == pytest.approx(area, rel=1e-4)
 
 
 def test_points_of_the_wrong_shape() -> None:
