@@ -5,9 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import signal
 import sys
-import threading
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -99,9 +97,10 @@ def run(args: argparse.Namespace) -> int:
     settings = settings_for(args.profile, rule=args.rule, threshold=_threshold(args.threshold))
     truth = recording.path / "truth.json"
     known = {int(k): things for k, things in load_truth(truth)["frames"].items()} if truth.exists() else {}
-    learned = [name for name in recording.sources if name not in recording.background_images()]
-    if learned:
-        print(f"no background/ for {', '.join(learned)}: learned from the frames; what never moves is not found")
+    if recording.without_background:
+        print(
+            f"no background/ for {', '.join(recording.without_background)}: learned from the frames; what never moves is not found"
+        )
     lines, out = [], Path(args.out)
     with staged_folder(out) as stage:
         pipeline = Pipeline(recording.rig, backgrounds_of(recording, progress=True), settings)
@@ -192,13 +191,11 @@ def data(args: argparse.Namespace) -> int:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command; 0 on success, else a one-line error on stderr and another number."""
     args = build_parser().parse_args(arguments)
-    if (
-        threading.current_thread() is threading.main_thread()
-    ):  # a closing terminal or `timeout` ends a run as Ctrl-C does
-        for name in {"SIGTERM", "SIGHUP"} & set(dir(signal)):
-            signal.signal(getattr(signal, name), signal.default_int_handler)
+    from occlib.notebooks import stoppable
+
     try:
-        status = int(args.function(args))
+        with stoppable():
+            status = int(args.function(args))
         sys.stdout.flush()
         return status
     except BrokenPipeError:  # the reader of a pipe left, as in `occlib ... | head`

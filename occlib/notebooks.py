@@ -161,7 +161,7 @@ def execute(runs: Sequence[Run], jobs: int, home: Path, progress: bool) -> None:
     failures: list[str] = []
     running: dict[subprocess.Popen[bytes], tuple[Run, Path, float]] = {}
     bar = tqdm(total=len(runs), unit="notebook", disable=not (progress and runs), file=sys.stderr)
-    with bar, tempfile.TemporaryDirectory(prefix="occlib-", ignore_cleanup_errors=True) as scratch, _stoppable():
+    with bar, tempfile.TemporaryDirectory(prefix="occlib-", ignore_cleanup_errors=True) as scratch, stoppable():
         try:
             while running or (queue and not failures):
                 while queue and len(running) < jobs and not failures:
@@ -186,8 +186,8 @@ def execute(runs: Sequence[Run], jobs: int, home: Path, progress: bool) -> None:
 
 
 @contextmanager
-def _stoppable() -> Iterator[None]:
-    """Let SIGTERM and SIGHUP (``timeout``, a closing terminal) stop the notebooks as Ctrl-C does."""
+def stoppable() -> Iterator[None]:
+    """Let SIGTERM and SIGHUP (``timeout``, a closing terminal) end the work as Ctrl-C does."""
     with _handling(signal.default_int_handler):
         yield
 

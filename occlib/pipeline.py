@@ -297,9 +297,8 @@ class Pipeline:
 def backgrounds_of(recording: Recording, *, samples: int = 60, progress: bool = False) -> dict[str, Background]:
     """Each camera's background: the mean of its empty pictures, or else learned from ``samples`` of its frames."""
     backgrounds = {name: average_background(images) for name, images in recording.background_images().items()}
-    if len(backgrounds) < len(recording.sources):
+    if unknown := recording.without_background:
         pictures = recording.sample(samples)
-        unknown = [name for name in pictures if name not in backgrounds]
         for name in tqdm(unknown, desc="learning the background", unit="camera", disable=None if progress else True):
             backgrounds[name] = learn_background(pictures[name])
     return {name: backgrounds[name] for name in recording.sources}

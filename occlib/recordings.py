@@ -190,6 +190,11 @@ class Recording:
                 pictures[name].append(image)
         return pictures
 
+    @property
+    def without_background(self) -> list[str]:
+        """The cameras that have no picture of the empty floor."""
+        return [name for name in self.sources if not _pictures(self.path / "background" / name)]
+
     def background_images(self) -> dict[str, list[Image]]:
         """The pictures of the empty floor for each camera; a camera without any is left out."""
         found: dict[str, list[Image]] = {}
