@@ -1,86 +1,66 @@
 """Template matching: similarity images and the places they point to (section 3, Eq 1 and 2).
 
-The template ``t`` is moved over every location of the image ``f`` and a measure ``s`` compares the values
-of its region of interest ``T`` with the window below it (Eq 1)::
-
-    S(r, c) = s[t(u, v), f(r + u, c + v); (u, v) in T]
-
-========  ======================================================  ============  =====================
-method    measure over the ``n`` values of ``T``                  range         unmoved by
-========  ======================================================  ============  =====================
-``ssd``   mean of ``(t - f)^2`` (Eq 2)                            0 best, up    nothing
-``sad``   mean of ``|t - f|``                                     0 best, up    nothing
-``ncc``   ``sum(t f) / sqrt(sum(t^2) sum(f^2))``                  -1 .. 1 best  gain
-``zncc``  ``ncc`` after removing both means, channel by channel   -1 .. 1 best  gain and offset
-``sed``   mean over the template's edge pixels of the squared     0 best, up    moderate gain, offset
-          distance (px^2) to the nearest edge pixel of the image
-========  ======================================================  ============  =====================
-
-``n`` counts pixels times channels, so a grey picture scores the same as its three-channel copy. The paper
-thresholds the similarity image and keeps one optimum in each connected component: :func:`find`.
-
-Each measure is written twice: literally, pixel by pixel (:func:`reference_similarity`), and by correlation
-(:func:`similarity`), as in Lewis's fast normalised cross-correlation. Integer images are summed exactly.
-
-Sources: Sulaiman et al. (2007), IJCSNS 7(7), for SSD in the paper; Steger, Ulrich and Wiedemann, "Machine
-Vision Algorithms and Applications" (MVTec), for the mean SED; Lewis (1995), "Fast normalized
-cross-correlation", Vision Interface.
+:func:`similarity` moves a template over every location of an image and compares it with the window below it; the
+measures, ``ssd``, ``sad``, ``ncc``, ``zncc`` and ``sed``, are defined in :mod:`occlib.measures`. The paper thresholds
+the similarity image and keeps one optimum in each connected component: :func:`find`, which also looks for turned and
+scaled objects. :func:`compare` puts the measures side by side, and :func:`matcher` adds one of your own to them.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+import time
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from functools import partial
-from numbers import Real
+from numbers import Integral, Real
 from typing import Any, Literal
 
 import cv2
 import numpy as np
 import numpy.typing as npt
-from scipy import fft
 
+from occlib.banks import Bank, warps
 from occlib.geometry import FloatArray, Image, Mask
+from occlib.measures import METHODS, Array, Method
 
-Array = npt.NDArray[Any]
-Measure = Callable[[Array, Array, Mask], FloatArray]
+__all__ = [
+    "METHODS",
+    "Comparison",
+    "Match",
+    "Method",
+    "compare",
+    "default_threshold",
+    "find",
+    "matcher",
+    "optima",
+    "reference_similarity",
+    "score_threshold",
+    "similarity",
+]
 
-FLAT = 1e-5
-"""A *float* window whose spread is below this share of the picture's range is flat: the rest is rounding."""
-UNEXPLAINED = 0.5
-"""Share of the template's own contrast that a match may leave unexplained (default thresholds)."""
-EDGE_IMAGE, EDGE_TEMPLATE = 40, 100
-"""Gradients (``|gx| + |gy|`` of the 3x3 Sobel masks, 8 bit) above which a pixel of the image or of the
-template can be an edge. The image's is lower, so the template's edges survive less light and some noise."""
-EDGE_MARGIN = 3
-"""Template edges closer to its border (px) depend on what lies beyond the border, and are left out."""
-
-
-@dataclass(frozen=True)
-class Method:
-    """A similarity measure: its fast form, its literal form and its default threshold."""
-
-    name: str
-    description: str
-    higher_is_better: bool
-    score: Measure
-    reference: Measure
-    default_threshold: Callable[[Array, Array, Mask], float]
+BUILT_IN = tuple(METHODS)
+THRESHOLDS = ("otsu", "mad")
+RULES = ("components", "nms")
+SPREAD = 5.0
+"""Standard deviations, estimated robustly, between the similarity image's median and the threshold ``"mad"``."""
 
 
 @dataclass(frozen=True)
 class Match:
     """A place where the template was found.
 
-    ``x``, ``y`` are the column and row of the template's top-left pixel, ``width`` and ``height`` its size in
-    px, ``score`` the value of the similarity image there.
+    ``width`` and ``height`` are the size in px of the template, scaled; ``x``, ``y`` the column and row of its
+    top-left pixel, before it is turned about its centre by ``angle`` degrees (counter-clockwise as one sees the
+    picture); ``score`` is the value of the similarity image. All are whole numbers of px for a template that is
+    neither turned, scaled nor refined below the pixel.
     """
 
-    x: int
-    y: int
+    x: float
+    y: float
     score: float
-    width: int
-    height: int
+    width: float
+    height: float
+    angle: float = 0.0
+    scale: float = 1.0
 
     @property
     def centre_px(self) -> tuple[float, float]:
@@ -90,6 +70,28 @@ class Match:
         (12.0, 21.5)
         """
         return self.x + (self.width - 1) / 2, self.y + (self.height - 1) / 2
+
+    @property
+    def corners_px(self) -> FloatArray:
+        """Outer corners (4, 2) of the turned template in px, from the top-left one, clockwise when not turned.
+
+        >>> Match(x=10, y=20, score=0.0, width=5, height=4).corners_px[0]
+        array([ 9.5, 19.5])
+        """
+        half = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * (self.width / 2, self.height / 2)
+        cosine, sine = np.cos(np.deg2rad(self.angle)), np.sin(np.deg2rad(self.angle))
+        return np.asarray(half @ np.array([[cosine, -sine], [sine, cosine]]) + self.centre_px)
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """What one measure made of an image and a template, see :func:`compare`."""
+
+    method: Method
+    score: FloatArray
+    threshold: float
+    matches: list[Match]
+    seconds: float
 
 
 def similarity(
@@ -104,9 +106,10 @@ def similarity(
     template
         (h, w) or (h, w, 3), no larger than the image and with as many channels.
     method
-        ``"ssd"``, ``"sad"``, ``"ncc"``, ``"zncc"`` or ``"sed"``; see :data:`METHODS`.
+        ``"ssd"``, ``"sad"``, ``"ncc"``, ``"zncc"``, ``"sed"`` or one of your own; see :data:`METHODS`.
     mask
-        (h, w) bool, True for the template pixels that count (the region ``T``); all of them by default.
+        (h, w), the region ``T`` of the template that counts: bool, or weights, finite and not negative, of
+        which only the ratios matter. All of it by default.
 
     Returns
     -------
@@ -121,9 +124,9 @@ def similarity(
 
     Notes
     -----
-    *Exactness.* For integers from 0 to 65535 every sum is exact: identical windows score exactly 0
-    (``ssd``, ``sad``) or 1 (``ncc``, ``zncc``). Other numbers are treated as float64: ``ssd`` is then right
-    to about 1e-13 of the largest squared difference, and smaller values are returned as 0.
+    *Exactness.* For integers from 0 to 65535 and a mask of true and false every sum is exact: identical windows
+    score exactly 0 (``ssd``, ``sad``) or 1 (``ncc``, ``zncc``). Everything else is computed in float64 and right to
+    1e-9 of the largest value; identical windows still score exactly 0.
 
     *Nothing to compare.* ``zncc`` is 0 where the window or the template is flat, ``ncc`` is 0 where either
     has no energy. ``sed`` is the squared diagonal of the image (px^2), more than any real distance, when the
@@ -144,7 +147,9 @@ def similarity(
     array([[1., 0.]])
     """
     measure = _method(method)
-    return measure.score(*_checked(image, template, mask))
+    f, t, used = _checked(image, template, mask)
+    f, [(t, used)] = measure.prepare(f, [(t, used)])
+    return measure.score(f, t, used)
 
 
 def reference_similarity(
@@ -180,45 +185,184 @@ def default_threshold(
         Clutter and noise are full of edges, so false matches remain there; take the first.
 
     It depends on the template, not on the best score in the image (for ``sed``: only on how crowded the
-    image's edges are), so an image without the object gives no match.
+    image's edges are), so an image without the object gives no match. A measure of your own may name a threshold
+    of its similarity image instead.
 
     >>> default_threshold(np.zeros((4, 4)), [[0, 2]], "ssd")
     0.5
     """
     measure = _method(method)
-    return measure.default_threshold(*_checked(image, template, mask))
+    arrays = _checked(image, template, mask)
+    if isinstance(measure.default_threshold, str):
+        return score_threshold(similarity(image, template, method, mask), method, measure.default_threshold)
+    return measure.default_threshold(*arrays)
+
+
+def score_threshold(score: npt.ArrayLike, method: str, threshold: Any) -> float:
+    """The worst score to accept, from a number or from the similarity image itself.
+
+    Parameters
+    ----------
+    score
+        Similarity image of ``method``, any shape; infinite where there is no score.
+    method
+        One of :data:`METHODS`.
+    threshold
+        ``"otsu"`` splits the scores in two classes; ``"mad"`` is the median, moved to the better side by 5
+        robust standard deviations (1.4826 times the median absolute deviation; where that is 0, 1.2533 times the
+        mean absolute deviation, Iglewicz and Hoaglin 1993). A number, in the range of the measure, is returned as
+        it is.
+
+    Returns
+    -------
+    float
+        NaN, which no score reaches, for ``"otsu"`` and ``"mad"`` of a constant similarity image.
+
+    Examples
+    --------
+    >>> round(score_threshold([8, 9, 10, 11, 12], "sad", "mad"), 3)
+    2.587
+    """
+    measure = _method(method)
+    if isinstance(threshold, str) and threshold in THRESHOLDS:
+        values = np.asarray(score, dtype=np.float64)
+        values = values[np.isfinite(values)]
+        if values.size == 0 or np.ptp(values) == 0:
+            return float("nan")
+        if threshold == "otsu":
+            from skimage.filters import threshold_otsu
+
+            return float(threshold_otsu(values))
+        middle = float(np.median(values))
+        deviations = np.abs(values - middle)
+        spread = 1.4826 * float(np.median(deviations)) or 1.2533 * float(deviations.mean())
+        return middle + (SPREAD if measure.higher_is_better else -SPREAD) * spread
+    if isinstance(threshold, bool) or not isinstance(threshold, Real) or not np.isfinite(float(threshold)):
+        raise ValueError(
+            f"threshold: expected a finite number, {', '.join(map(repr, THRESHOLDS))} or None, got {threshold!r}"
+        )
+    if not measure.bounds[0] <= float(threshold) <= measure.bounds[1]:
+        low, high = measure.bounds
+        raise ValueError(f"threshold: expected {low:g} to {high:g} for {measure.name}, got {threshold}")
+    return float(threshold)
+
+
+def optima(
+    score: npt.ArrayLike,
+    method: str,
+    limit: float,
+    rule: str = "components",
+    *,
+    size: tuple[int, int] = (1, 1),
+    max_count: int | None = None,
+) -> npt.NDArray[np.intp]:
+    """Places of the optima in a similarity image, best first.
+
+    Parameters
+    ----------
+    score
+        Similarity image (M, N) of ``method``; infinite where there is no score.
+    method
+        One of :data:`METHODS`.
+    limit
+        The worst score to accept.
+    rule
+        ``"components"``, the paper's: one optimum in each 8-connected component of the accepted places. Two
+        objects whose components touch count once, and a ragged component that falls apart counts more than once.
+        ``"nms"``, non-maximum suppression: every accepted place that nothing within half a template, in both
+        directions, beats.
+    size
+        ``(h, w)`` of the template, for ``"nms"``.
+    max_count
+        Keep at most this many, the best; all by default.
+
+    Returns
+    -------
+    ndarray
+        (K, 2) rows and columns. Equal scores: the first in row-major order.
+
+    Examples
+    --------
+    >>> optima([[5, 1, 5, 2, 9]], "sad", 2)
+    array([[0, 1],
+           [0, 3]])
+    >>> optima([[5, 1, 5, 2, 9]], "sad", 2, "nms", size=(1, 4))
+    array([[0, 1]])
+    """
+    measure = _method(method)
+    _check_search(rule, max_count)
+    values = np.asarray(score, dtype=np.float64)
+    if values.ndim != 2 or values.size == 0:
+        raise ValueError(f"score: expected a similarity image (rows, columns), got shape {values.shape}")
+    cost = -values if measure.higher_is_better else values
+    accepted = cost <= (-limit if measure.higher_is_better else limit)
+    if rule == "components":
+        _, labels = cv2.connectedComponents(accepted.astype(np.uint8), connectivity=8)
+        places = np.flatnonzero(accepted)
+        places = places[np.argsort(cost.flat[places], kind="stable")]
+        _, first = np.unique(labels.flat[places], return_index=True)
+        places = places[np.sort(first)]
+    else:
+        places = _unsuppressed(cost, accepted, size[0] // 2, size[1] // 2)
+    return np.stack(np.unravel_index(places[:max_count], values.shape), axis=1)
+
+
+def _unsuppressed(cost: FloatArray, accepted: Mask, rows: int, columns: int) -> npt.NDArray[np.intp]:
+    """Flat indices of the accepted places that are the best within so many rows and columns, best first."""
+    best = cv2.erode(cost, np.ones((2 * rows + 1, 2 * columns + 1), np.uint8))
+    places = np.flatnonzero(accepted & (cost == best))
+    taken = np.zeros(cost.shape, bool)
+    kept = []
+    for place in places[np.argsort(cost.flat[places], kind="stable")]:
+        r, c = divmod(int(place), cost.shape[1])
+        if not taken[r, c]:  # only an equal score can have taken it
+            taken[max(r - rows, 0) : r + rows + 1, max(c - columns, 0) : c + columns + 1] = True
+            kept.append(place)
+    return np.array(kept, dtype=np.intp)
 
 
 def find(
     image: npt.ArrayLike,
     template: npt.ArrayLike,
     method: str = "ssd",
-    threshold: float | Literal["otsu"] | None = None,
+    threshold: float | str | None = None,
     mask: npt.ArrayLike | None = None,
+    *,
+    rule: str = "components",
+    max_count: int | None = None,
+    subpixel: bool = False,
+    angles: Iterable[float] = (0.0,),
+    scales: Iterable[float] = (1.0,),
+    pyramid: int = 0,
 ) -> list[Match]:
-    """Places of a template, best first: one optimum per component of the thresholded similarity image.
-
-    The paper's rule: threshold ``S(r, c)``, which gives regions of adjacent pixels (8-connected here), and
-    keep the local optimum of each. Equal scores: the first in row-major order.
+    """Places of a template, best first: threshold the similarity image ``S(r, c)``, keep its optima.
 
     Parameters
     ----------
     image, template, method, mask
         As for :func:`similarity`.
     threshold
-        The worst score to accept, in units of the score (inclusive). ``"otsu"`` splits the similarity image
-        in two classes; it always finds something unless the similarity image is constant (no match), and
-        is lenient when few windows match. By default :func:`default_threshold`.
+        The worst score to accept, in units of the score (inclusive), or ``"otsu"`` or ``"mad"``, see
+        :func:`score_threshold`. Otsu always finds something unless the similarity image is constant, and is
+        lenient when few windows match. By default :func:`default_threshold`.
+    rule
+        ``"components"``, the paper's one optimum per connected component, or ``"nms"``, see :func:`optima`.
+    max_count
+        At most so many, the best.
+    subpixel
+        Move each optimum to the vertex of the parabolas through its neighbours, by at most half a pixel.
+    angles, scales
+        Turns in degrees, counter-clockwise, and factors. The template is warped by each pair, its corners masked
+        out, and ``S`` becomes the best of all at each place of the template's centre.
+    pyramid
+        Search a picture smaller by ``2^pyramid`` first and compute ``S`` only where that leaves hope: worth it
+        for many angles and scales, large templates and ``sad``. The matches are those of the full search. 0: off.
+        Not with ``"otsu"`` and ``"mad"``, which need all of ``S``.
 
     Returns
     -------
     list of Match
         Empty if no score reaches the threshold.
-
-    Notes
-    -----
-    One match per component cuts both ways: two objects whose regions touch count once (use a stricter
-    threshold), and a ragged region that falls apart counts more than once.
 
     Examples
     --------
@@ -228,19 +372,114 @@ def find(
     [(2, 1, 0.0), (8, 4, 0.0)]
     """
     measure = _method(method)
-    arrays = _checked(image, template, mask)
-    score = measure.score(*arrays)
-    cost = -score if measure.higher_is_better else score
-    limit = measure.default_threshold(*arrays) if threshold is None else _threshold(threshold, measure, score)
-    accepted = cost <= (-limit if measure.higher_is_better else limit)
+    f, t, used = _checked(image, template, mask)
+    _check_search(rule, max_count, pyramid)
+    if threshold is None:
+        threshold = _own_threshold(measure, f, t, used)
+    bank = Bank.of(measure, f, warps(t, used, f.shape, angles, scales))
+    if pyramid and not isinstance(threshold, str):
+        limit = score_threshold([], method, threshold)
+        cost, which = bank.cost(-limit if measure.higher_is_better else limit, pyramid)
+    else:
+        cost, which = bank.cost()
+        limit = score_threshold(-cost if measure.higher_is_better else cost, method, threshold)
+    score = -cost if measure.higher_is_better else cost
+    places = optima(score, method, limit, rule, size=t.shape[:2], max_count=max_count)
+    return [_match(bank, score, int(r), int(c), which[r, c], subpixel, t.shape[:2]) for r, c in places]
 
-    _, labels = cv2.connectedComponents(accepted.astype(np.uint8), connectivity=8)
-    places = np.flatnonzero(accepted)
-    places = places[np.argsort(cost.flat[places], kind="stable")]
-    _, first = np.unique(labels.flat[places], return_index=True)
-    height, width = arrays[1].shape[:2]
-    rows, columns = np.unravel_index(places[np.sort(first)], score.shape)
-    return [Match(int(x), int(y), float(score[y, x]), width, height) for y, x in zip(rows, columns, strict=True)]
+
+def compare(
+    image: npt.ArrayLike,
+    template: npt.ArrayLike,
+    methods: Sequence[str] | None = None,
+    *,
+    threshold: float | str | None = None,
+    mask: npt.ArrayLike | None = None,
+    rule: str = "components",
+    max_count: int | None = None,
+) -> dict[str, Comparison]:
+    """What each measure makes of an image and a template: similarity image, threshold, matches and run time.
+
+    ``methods`` are all of :data:`METHODS` by default; ``threshold`` must be a rule that suits all of them, or None.
+    The rest as for :func:`find`. ``seconds`` is the time of :func:`similarity`, taken once after a first call on a
+    corner of the image, so that nothing is compiled meanwhile.
+
+    >>> image = np.zeros((8, 12), np.uint8)
+    >>> image[2, 3] = image[5, 9] = 200
+    >>> {name: len(result.matches) for name, result in compare(image, image[1:4, 2:5], ["ssd", "zncc"]).items()}
+    {'ssd': 2, 'zncc': 2}
+    """
+    f, t, used = _checked(image, template, mask)
+    results = {}
+    for name in METHODS if methods is None else methods:
+        measure = _method(name)
+        similarity(f[: t.shape[0], : t.shape[1]], t, name, used)
+        started = time.perf_counter()
+        score = similarity(f, t, name, used)
+        seconds = time.perf_counter() - started
+        limit = score_threshold(score, name, _own_threshold(measure, f, t, used) if threshold is None else threshold)
+        height, width = t.shape[:2]
+        places = optima(score, name, limit, rule, size=(height, width), max_count=max_count)
+        matches = [Match(int(x), int(y), float(score[y, x]), width, height) for y, x in places]
+        results[name] = Comparison(measure, score, limit, matches, seconds)
+    return results
+
+
+def matcher(
+    name: str,
+    *,
+    higher_is_better: bool,
+    description: str = "",
+    default_threshold: Callable[[Array, Array, Array], float] | Literal["otsu", "mad"] = "mad",
+    bounds: tuple[float, float] = (-np.inf, np.inf),
+) -> Callable[[Callable[..., npt.ArrayLike]], Callable[..., npt.ArrayLike]]:
+    """Decorator: a measure of your own joins :data:`METHODS`, and with them every table and plot.
+
+    Parameters
+    ----------
+    name
+        How it is called from now on; none of the built-in ones.
+    higher_is_better, bounds
+        Which direction is better, and the least and largest score.
+    description
+        A few words for tables; the first line of the docstring by default.
+    default_threshold
+        The worst score to accept by default: a function of the same three arrays, or see :func:`score_threshold`.
+
+    Notes
+    -----
+    The function gets the image (H, W, C) and the template (h, w, C), both uint8, uint16 or float64, C being 1 or 3,
+    and the mask (h, w), bool or float64 weights up to 1. It returns a finite score for every place, any real type,
+    (H - h + 1, W - w + 1).
+
+    Examples
+    --------
+    >>> @matcher("extreme", higher_is_better=False)
+    ... def extreme(image, template, mask):
+    ...     "Largest absolute difference."
+    ...     windows = np.lib.stride_tricks.sliding_window_view(image, template.shape[:2], axis=(0, 1))
+    ...     difference = np.abs(np.moveaxis(windows, 2, -1).astype(float) - template)[:, :, mask > 0]
+    ...     return difference.max(axis=(2, 3))
+    >>> similarity([[1, 2, 3]], [[2, 4]], "extreme")
+    array([[2., 1.]])
+    >>> del METHODS["extreme"]
+    """
+    if not isinstance(name, str) or not name or name in BUILT_IN:
+        raise ValueError(f"name: expected a name that no built-in measure has, got {name!r}")
+
+    def register(function: Callable[..., npt.ArrayLike]) -> Callable[..., npt.ArrayLike]:
+        def score(image: Array, template: Array, mask: Array) -> FloatArray:
+            values = np.asarray(function(image, template, mask), dtype=np.float64)
+            shape = image.shape[0] - template.shape[0] + 1, image.shape[1] - template.shape[1] + 1
+            if values.shape != shape or not np.isfinite(values).all():
+                raise ValueError(f"{name}: expected {shape} finite scores, got {values.shape}, some perhaps not finite")
+            return values
+
+        text = description or (function.__doc__ or name).strip().splitlines()[0]
+        METHODS[name] = Method(name, text, higher_is_better, score, score, default_threshold, bounds=bounds)
+        return function
+
+    return register
 
 
 # ---------------------------------------------------------------- arguments
@@ -261,310 +500,83 @@ def _picture(values: npt.ArrayLike, name: str) -> Image:
         raise ValueError(f"{name}: expected shape (rows, columns) or (rows, columns, 3), got {array.shape}")
     if array.size == 0:
         raise ValueError(f"{name}: expected at least one pixel, got shape {array.shape}")
-    if not np.isfinite(array).all():
+    if array.dtype.kind == "f" and not np.isfinite(array).all():
         raise ValueError(f"{name}: expected finite values, got NaN or infinity")
-    if float(np.abs(array.astype(np.float64)).max()) > 1e100:
+    if array.dtype.kind == "f" and float(np.abs(array).max()) > 1e100:
         raise ValueError(f"{name}: expected magnitudes up to 1e100, whose squares can be summed; got more")
     return array.reshape(*array.shape[:2], -1)
 
 
-def _checked(image: npt.ArrayLike, template: npt.ArrayLike, mask: npt.ArrayLike | None) -> tuple[Image, Image, Mask]:
+def _checked(image: npt.ArrayLike, template: npt.ArrayLike, mask: npt.ArrayLike | None) -> tuple[Image, Image, Array]:
     """Image (H, W, C) and template (h, w, C) of one type, uint8, uint16 or float64, and the mask (h, w)."""
     f, t = _picture(image, "image"), _picture(template, "template")
     if f.shape[2] != t.shape[2]:
         raise ValueError(f"template: expected {f.shape[2]} channel(s) like the image, got {t.shape[2]}")
     if t.shape[0] > f.shape[0] or t.shape[1] > f.shape[1]:
         raise ValueError(f"template: expected no larger than the image {f.shape[:2]}, got {t.shape[:2]}")
-    used = np.ones(t.shape[:2], bool) if mask is None else np.asarray(mask)
-    if used.dtype != np.bool_ or used.shape != t.shape[:2]:
-        raise ValueError(f"mask: expected bool {t.shape[:2]}, got {used.dtype} {used.shape}")
-    if not used.any():
-        raise ValueError("mask: expected at least one True pixel, got none")
     kind: type[Any] = np.float64
     if f.dtype == t.dtype == np.uint8:
         kind = np.uint8
     elif all(a.dtype.kind in "ui" and a.min() >= 0 and a.max() <= 65535 for a in (f, t)):
         kind = np.uint16
-    return f.astype(kind, copy=False), t.astype(kind, copy=False), used
-
-
-def _threshold(threshold: Any, measure: Method, score: FloatArray) -> float:
-    """The number that a given threshold means; NaN, which nothing reaches, for Otsu of a single value."""
-    from skimage.filters import threshold_otsu
-
-    if isinstance(threshold, str) and threshold == "otsu":
-        return float(threshold_otsu(score)) if np.ptp(score) > 0 else np.nan
-    if isinstance(threshold, bool) or not isinstance(threshold, Real) or not np.isfinite(float(threshold)):
-        raise ValueError(f"threshold: expected a finite number, 'otsu' or None, got {threshold!r}")
-    low, high = (-1.0, 1.0) if measure.higher_is_better else (0.0, np.inf)
-    if not low <= float(threshold) <= high:
-        raise ValueError(f"threshold: expected {low:g} to {high:g} for {measure.name}, got {threshold}")
-    return float(threshold)
-
-
-# ---------------------------------------------------------------- sums over every window
-
-
-def _channels(image: Array, template: Array) -> Iterator[tuple[Array, Array]]:
-    """The channels of both, as int64 or float64."""
-    kind = np.float64 if image.dtype == np.float64 else np.int64
-    for channel in range(image.shape[2]):
-        yield image[:, :, channel].astype(kind), template[:, :, channel].astype(kind)
-
-
-def _fft_correlation(image: Array, kernel: Array) -> FloatArray:
-    shape = [fft.next_fast_len(size, real=True) for size in image.shape]
-    spectrum = fft.rfft2(image, shape) * np.conj(fft.rfft2(kernel, shape))
-    rows, columns = (a - b + 1 for a, b in zip(image.shape, kernel.shape, strict=True))
-    return np.asarray(fft.irfft2(spectrum, shape)[:rows, :columns], dtype=np.float64)
-
-
-def _digits(values: Array, bits: int) -> Iterator[tuple[int, Array]]:
-    """Integers as a sum of ``digit << shift``; only the last digit can be negative."""
-    shift = 0
-    while np.abs(values).max() >> bits:
-        yield shift, values & ((1 << bits) - 1)
-        values, shift = values >> bits, shift + bits
-    yield shift, values
-
-
-def _correlation(image: Array, kernel: Array) -> Array:
-    """``sum(kernel(u, v) image(r + u, c + v))``; exact, int64, if both are integers.
-
-    The transform's rounding error stays far below 1/2 for 16 bit times 8 bit, so larger integers are cut
-    into digits of that size.
-    """
-    if image.dtype.kind == "f":
-        return _fft_correlation(image, kernel)
-    total: Any = 0
-    for image_shift, f in _digits(image, 16):
-        for kernel_shift, k in _digits(kernel, 8):
-            total = total + (np.rint(_fft_correlation(f, k)).astype(np.int64) << (image_shift + kernel_shift))
-    return np.asarray(total)
-
-
-def _window_sum(values: Array, mask: Mask) -> Array:
-    """``sum(values(r + u, c + v))`` over the mask."""
-    if values.dtype.kind == "f" or not mask.all():
-        return _correlation(values, mask.astype(values.dtype))
-    integral = np.pad(values, ((1, 0), (1, 0))).cumsum(axis=0).cumsum(axis=1)
-    h, w = mask.shape
-    return np.asarray(integral[h:, w:] - integral[:-h, w:] - integral[h:, :-w] + integral[:-h, :-w])
-
-
-# ---------------------------------------------------------------- the measures
-
-
-def _ssd(image: Array, template: Array, mask: Mask) -> FloatArray:
-    total: Any = 0
-    rounding = 0.0
-    for f, t in _channels(image, template):
-        if f.dtype.kind == "f":  # differences do not change, but the sums that cancel become smaller
-            origin = t[mask].mean()
-            f, t = f - origin, t - origin
-            peak = max(np.abs(f).max(), np.abs(t[mask]).max())
-            rounding += 8 * np.finfo(float).eps * np.sqrt(f.size * mask.sum()) * peak**2
-        t = np.where(mask, t, 0)
-        total = total + _window_sum(f * f, mask) - 2 * _correlation(f, t) + (t * t).sum()
-    return np.asarray(np.where(total > rounding, total, 0) / (mask.sum() * image.shape[2]), dtype=np.float64)
-
-
-def _sad(image: Array, template: Array, mask: Mask) -> FloatArray:
-    total = sum(_absolute_differences(f, t, mask) for f, t in _channels(image, template))
-    return np.asarray(total / (mask.sum() * image.shape[2]), dtype=np.float64)
-
-
-def _absolute_differences(f: Array, t: Array, mask: Mask) -> Array:
-    """Sum over the mask of ``|t - f|``, one template pixel for all windows at a time.
-
-    The windows' pixels are then one run of memory: the image from that template pixel on. The narrowest type
-    is the fastest; it is emptied into ``total`` before it can overflow.
-    """
-    kind: type[Any] = np.float64
-    capacity = mask.size
-    if f.dtype.kind == "i":
-        kind, capacity = (np.int16, 128) if max(f.max(), t.max()) < 256 else (np.int32, 32768)
-    rows, columns = f.shape[0] - t.shape[0] + 1, f.shape[1] - t.shape[1] + 1
-    length = rows * f.shape[1] - t.shape[1] + 1
-    run, values = f.astype(kind).ravel(), t.astype(kind)
-    step, part = np.empty(length, kind), np.zeros(length, kind)
-    total = np.zeros(rows * f.shape[1], f.dtype)
-    for count, (u, v) in enumerate(np.argwhere(mask), start=1):
-        start = u * f.shape[1] + v
-        np.subtract(run[start : start + length], values[u, v], out=step)
-        part += np.abs(step, out=step)
-        if count % capacity == 0:
-            total[:length] += part
-            part[:] = 0
-    total[:length] += part
-    return total.reshape(rows, -1)[:, :columns]
-
-
-def _ncc(image: Array, template: Array, mask: Mask, *, centred: bool = False) -> FloatArray:
-    image, template, least = _rescaled(image, template, mask, centred)
-    n = int(mask.sum())
-    cross: Any = 0
-    energy: Any = 0
-    own: Any = 0
-    for f, t in _channels(image, template):
-        if centred and f.dtype.kind == "i":  # smaller numbers, same result
-            origin = int(np.rint(t[mask].mean()))
-            f, t = f - origin, t - origin
-        t = np.where(mask, t, 0)
-        f_sum, t_sum = (_window_sum(f, mask), t.sum()) if centred else (np.zeros(1, f.dtype), f.dtype.type(0))
-        cross = cross + _about_means(_correlation(f, t), t_sum, f_sum, n)
-        energy = energy + _about_means(_window_sum(f * f, mask), f_sum, f_sum, n)
-        own = own + _about_means((t * t).sum(), t_sum, t_sum, n)
-    cross, energy, own = (np.asarray(a, dtype=np.float64) for a in (cross, energy, own))
-    usable = np.minimum(energy, own) > least * n * image.shape[2]
-    norm = np.sqrt(np.where(usable, energy, 1.0) * np.where(usable, own, 1.0))
-    return np.asarray(np.clip(np.where(usable, cross, 0.0) / norm, -1.0, 1.0), dtype=np.float64)
-
-
-def _rescaled(image: Array, template: Array, mask: Mask, remove_offset: bool) -> tuple[Array, Array, float]:
-    """Float pictures scaled to magnitudes up to 1, and the energy per value below which one counts as empty.
-
-    Integers are left alone, since their sums are exact. Neither measure is moved by the gain, nor ``zncc``
-    by the offset, but overflow and rounding are.
-    """
-    if image.dtype != np.float64:
-        return image, template, 0.0
-    pictures = []
-    for values, used in ((image, image.reshape(-1, image.shape[2])), (template, template[mask])):
-        origin = used.min(axis=0) if remove_offset else 0.0
-        peak = np.abs(used - origin).max()
-        pictures.append((values - origin) / (peak if peak > 0 else 1.0))
-    return pictures[0], pictures[1], FLAT**2
-
-
-def _about_means(products: Any, a_sum: Any, b_sum: Any, n: int) -> Any:
-    """``sum(ab) - sum(a) sum(b) / n``; of integers only the last term is rounded: flat gives exactly 0."""
-    if np.asarray(b_sum).dtype.kind == "f":
-        return products - a_sum * b_sum / n
-    quotient, remainder = np.divmod(b_sum, n)
-    return (products - a_sum * quotient) - a_sum * remainder / n
-
-
-def _edges(image: Array, template: Array, mask: Mask) -> tuple[Mask, Mask]:
-    """Edge pixels of the image, and those of the template that count."""
-    if image.dtype != np.uint8:
-        low = min(float(image.min()), float(template.min()))
-        span = max(float(image.max()), float(template.max())) - low
-        scale = 255 / span if span > 0 else 0.0
-        image, template = (np.rint((a.astype(float) - low) * scale).astype(np.uint8) for a in (image, template))
-    found = []
-    for picture, limit in ((image, EDGE_IMAGE), (template, EDGE_TEMPLATE)):
-        smooth = cv2.GaussianBlur(np.ascontiguousarray(picture), (3, 3), 0)
-        found.append(cv2.Canny(smooth, limit, limit) > 0)
-    inner = np.zeros_like(mask)
-    inner[EDGE_MARGIN:-EDGE_MARGIN, EDGE_MARGIN:-EDGE_MARGIN] = True
-    return found[0], found[1] & mask & inner
-
-
-def _squared_distances(edges: Mask) -> Array:
-    """Squared distance (px^2, int64) to the nearest edge pixel; the squared diagonal if there is none."""
-    if not edges.any():
-        return np.full(edges.shape, edges.shape[0] ** 2 + edges.shape[1] ** 2, dtype=np.int64)
-    distance = cv2.distanceTransform((~edges).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
-    return np.rint(distance.astype(np.float64) ** 2).astype(np.int64)
-
-
-def _sed(image: Array, template: Array, mask: Mask) -> FloatArray:
-    image_edges, template_edges = _edges(image, template, mask)
-    if not template_edges.any():  # score as an image without edges does
-        image_edges, template_edges = np.zeros_like(image_edges), mask
-    total = _window_sum(_squared_distances(image_edges), template_edges)
-    return np.asarray(total / template_edges.sum(), dtype=np.float64)
-
-
-# ---------------------------------------------------------------- the same, literally
-
-
-def _slide(image: Array, template: Array, mask: Mask, measure: Callable[..., float]) -> FloatArray:
-    """Eq 1: ``measure(t, f)`` of the (n, channels) values of the template and of each window."""
-    h, w = mask.shape
-    t = template[mask].astype(np.float64)
-    scores = np.empty((image.shape[0] - h + 1, image.shape[1] - w + 1))
-    for r in range(scores.shape[0]):
-        for c in range(scores.shape[1]):
-            scores[r, c] = measure(t, image[r : r + h, c : c + w][mask].astype(np.float64))
-    return scores
-
-
-def _reference_ssd(image: Array, template: Array, mask: Mask) -> FloatArray:
-    return _slide(image, template, mask, lambda t, f: float(((t - f) ** 2).sum() / t.size))  # Eq 2
-
-
-def _reference_sad(image: Array, template: Array, mask: Mask) -> FloatArray:
-    return _slide(image, template, mask, lambda t, f: float(np.abs(t - f).sum() / t.size))
-
-
-def _reference_ncc(image: Array, template: Array, mask: Mask, *, centred: bool = False) -> FloatArray:
-    image, template, _ = _rescaled(image, template, mask, centred)
-
-    def ncc(t: FloatArray, f: FloatArray) -> float:
-        if centred:
-            t, f = t - t.mean(axis=0), f - f.mean(axis=0)
-        if min((t * t).sum(), (f * f).sum()) <= FLAT**2 * t.size:
-            return 0.0
-        return float((t * f).sum() / np.sqrt((t * t).sum() * (f * f).sum()))
-
-    return _slide(image, template, mask, ncc)
-
-
-def _reference_sed(image: Array, template: Array, mask: Mask) -> FloatArray:
-    image_edges, template_edges = _edges(image, template, mask)
-    scores = np.empty((image.shape[0] - mask.shape[0] + 1, image.shape[1] - mask.shape[1] + 1))
-    if not image_edges.any() or not template_edges.any():
-        return np.full_like(scores, image.shape[0] ** 2 + image.shape[1] ** 2)
-    targets = np.argwhere(image_edges)
-    for r in range(scores.shape[0]):
-        for c in range(scores.shape[1]):
-            nearest = [((targets - (r + u, c + v)) ** 2).sum(axis=1).min() for u, v in np.argwhere(template_edges)]
-            scores[r, c] = np.mean(nearest)
-    return scores
-
-
-# ---------------------------------------------------------------- default thresholds
-
-
-def _ssd_threshold(image: Array, template: Array, mask: Mask) -> float:
-    return UNEXPLAINED * float(template[mask].astype(np.float64).var(axis=0).mean())
-
-
-def _sad_threshold(image: Array, template: Array, mask: Mask) -> float:
-    values = template[mask].astype(np.float64)
-    return UNEXPLAINED * float(np.abs(values - np.median(values, axis=0)).mean())
-
-
-def _ncc_threshold(image: Array, template: Array, mask: Mask) -> float:
-    values = template[mask].astype(np.float64)
-    values = values / max(float(np.abs(values).max()), np.finfo(float).tiny)
-    energy = float((values**2).mean(axis=0).sum())
-    flat = float((values.mean(axis=0) ** 2).sum()) / energy if energy > 0 else 1.0
-    return float(np.sqrt(min(1.0, 1 - UNEXPLAINED * (1 - flat))))
-
-
-def _sed_threshold(image: Array, template: Array, mask: Mask) -> float:
-    crowded = UNEXPLAINED * float(np.median(_squared_distances(_edges(image, template, mask)[0])))
-    return min(crowded, float(min(mask.shape) / 8) ** 2)
-
-
-METHODS: dict[str, Method] = {
-    method.name: method
-    for method in (
-        Method("ssd", "mean squared difference (Eq 2)", False, _ssd, _reference_ssd, _ssd_threshold),
-        Method("sad", "mean absolute difference", False, _sad, _reference_sad, _sad_threshold),
-        Method("ncc", "normalised cross-correlation", True, _ncc, _reference_ncc, _ncc_threshold),
-        Method(
-            "zncc",
-            "zero-mean normalised cross-correlation",
-            True,
-            partial(_ncc, centred=True),
-            partial(_reference_ncc, centred=True),
-            lambda image, template, mask: (1 - UNEXPLAINED) ** 0.5,
-        ),
-        Method("sed", "mean squared edge distance (px^2)", False, _sed, _reference_sed, _sed_threshold),
-    )
-}
-"""The measures by name. Add a :class:`Method` to compare one of your own."""
+    return f.astype(kind, copy=False), t.astype(kind, copy=False), _checked_mask(mask, t.shape[:2])
+
+
+def _checked_mask(mask: npt.ArrayLike | None, shape: tuple[int, ...]) -> Array:
+    """Bool where the weights say no more than yes and no, else float64 up to 1."""
+    weights = np.ones(shape, bool) if mask is None else np.asarray(mask)
+    if weights.dtype.kind not in "buif" or weights.shape != shape:
+        raise ValueError(f"mask: expected bool or weights {shape}, got {weights.dtype} {weights.shape}")
+    if not np.isfinite(weights).all() or weights.min() < 0:
+        raise ValueError("mask: expected finite weights >= 0, got negative ones, NaN or infinity")
+    if not weights.any():
+        raise ValueError("mask: expected at least one pixel that counts, got none")
+    largest = weights.max()
+    if ((weights == 0) | (weights == largest)).all():
+        return weights > 0
+    return weights.astype(np.float64) / float(largest)
+
+
+def _own_threshold(measure: Method, image: Array, template: Array, mask: Array) -> float | str:
+    own = measure.default_threshold
+    return own if isinstance(own, str) else own(image, template, mask)
+
+
+def _check_search(rule: str, max_count: Any, pyramid: Any = 0) -> None:
+    if rule not in RULES:
+        raise ValueError(f"rule: expected one of {', '.join(RULES)}, got {rule!r}")
+    if max_count is not None and (
+        isinstance(max_count, bool) or not isinstance(max_count, Integral) or int(max_count) < 1
+    ):
+        raise ValueError(f"max_count: expected a whole number >= 1 or None, got {max_count!r}")
+    if isinstance(pyramid, bool) or not isinstance(pyramid, Integral) or not 0 <= int(pyramid) <= 8:
+        raise ValueError(f"pyramid: expected a whole number from 0 to 8, got {pyramid!r}")
+
+
+# ---------------------------------------------------------------- places to matches
+
+
+def _match(bank: Bank, score: FloatArray, r: int, c: int, number: int, subpixel: bool, size: tuple[int, ...]) -> Match:
+    """The match at a place of the joint similarity image; ``size`` is the template's own, (h, w)."""
+    warp = bank.warps[number]
+    y: float = r + bank.first_centre[0] - (size[0] - 1) // 2
+    x: float = c + bank.first_centre[1] - (size[1] - 1) // 2
+    height: float = size[0]
+    width: float = size[1]
+    if warp.scale != 1:
+        height, width = size[0] * warp.scale, size[1] * warp.scale
+        y, x = y - (height - size[0]) / 2, x - (width - size[1]) / 2
+    if subpixel:
+        y, x = y + _vertex(score[:, c], r), x + _vertex(score[r], c)
+    return Match(x, y, float(score[r, c]), width, height, warp.angle, warp.scale)
+
+
+def _vertex(score: FloatArray, place: int) -> float:
+    """Offset in px, -0.5 to 0.5, of the vertex of the parabola through a place and its two neighbours."""
+    if not 0 < place < len(score) - 1:
+        return 0.0
+    before, here, after = score[place - 1 : place + 2]
+    bend = before - 2 * here + after
+    if not np.isfinite(bend) or bend == 0:
+        return 0.0
+    return float(np.clip((before - after) / (2 * bend), -0.5, 0.5))

@@ -109,13 +109,6 @@ def test_integer_sums_are_exact_for_large_pictures(dtype: type, top: int, masked
         assert sad[row, column] == np.abs(difference).sum() / mask.sum()
 
 
-def test_digits_of_an_integer() -> None:
-    values = np.random.default_rng(4).integers(-(2**32), 2**32, 100)
-    digits = list(matching._digits(values, 8))
-    np.testing.assert_array_equal(sum(digit << shift for shift, digit in digits), values)
-    assert all(np.abs(digit).max() < 256 for _, digit in digits)
-
-
 def test_float_ssd_keeps_its_precision_under_a_large_offset() -> None:
     image = scene() / 64.0  # exact in binary, with or without the offset
     template = image[31:61, 47:87] + 0.25
@@ -410,9 +403,12 @@ IMAGE = np.arange(30.0).reshape(5, 6)
         ({"image": np.ones((5, 6, 4))}, r"image: expected shape .*, got \(5, 6, 4\)"),
         ({"template": np.ones((2, 2, 3))}, "template: expected 1 channel"),
         ({"image": np.ones((5, 6, 3))}, "template: expected 3 channel"),
-        ({"mask": np.ones((2, 3), bool)}, r"mask: expected bool \(2, 2\), got bool \(2, 3\)"),
-        ({"mask": np.ones((2, 2))}, "mask: expected bool .* got float64"),
-        ({"mask": np.zeros((2, 2), bool)}, "mask: expected at least one True"),
+        ({"mask": np.ones((2, 3), bool)}, r"mask: expected bool or weights \(2, 2\), got bool \(2, 3\)"),
+        ({"mask": np.ones((2, 2), complex)}, "mask: expected bool or weights .* got complex128"),
+        ({"mask": np.zeros((2, 2), bool)}, "mask: expected at least one pixel that counts, got none"),
+        ({"mask": np.zeros((2, 2))}, "mask: expected at least one pixel that counts, got none"),
+        ({"mask": [[1, -0.5], [1, 1]]}, "mask: expected finite weights >= 0"),
+        ({"mask": [[1, np.nan], [1, 1]]}, "mask: expected finite weights >= 0"),
         ({"method": "zssd"}, "method: expected one of ssd, sad, ncc, zncc, sed, got 'zssd'"),
         ({"method": None}, "method: expected one of"),
     ],
@@ -425,7 +421,7 @@ def test_wrong_arguments(function: Any, arguments: dict[str, Any], message: str)
 
 @pytest.mark.parametrize("threshold", [np.nan, np.inf, True, "triangle", [1], 1j])
 def test_wrong_threshold(threshold: Any) -> None:
-    with pytest.raises(ValueError, match="threshold: expected a finite number, 'otsu' or None, got"):
+    with pytest.raises(ValueError, match="threshold: expected a finite number, 'otsu', 'mad' or None, got"):
         find(IMAGE, IMAGE[:2, :2], "ssd", threshold)
 
 
