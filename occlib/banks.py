@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 
 from occlib.geometry import FloatArray, Mask
-from occlib.measures import Array, Method
+from occlib.measures import BUILT_IN, Array, Method
 
 TILE = 64
 """Side in px of the squares of the similarity image that the search from coarse to fine computes at a time."""
@@ -62,7 +62,11 @@ def _warp(template: Array, mask: Array, angle: float, scale: float) -> Warp:
         template, matrix, (columns, rows), flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT_101
     )
     weights = cv2.warpAffine(mask.astype(np.float64), matrix, (columns, rows), flags=cv2.INTER_LINEAR)
-    used = weights > 0.999 if mask.dtype == np.bool_ else weights
+    if mask.dtype == np.bool_:
+        used = weights > 0.999
+    else:  # nor may a pixel count that is partly made of hidden ones
+        seen = cv2.warpAffine((mask > 0).astype(np.float64), matrix, (columns, rows), flags=cv2.INTER_LINEAR)
+        used = np.where(seen > 0.999, weights, 0.0)
     return Warp(angle, scale, warped.reshape(rows, columns, -1), used.reshape(rows, columns))
 
 
@@ -101,21 +105,64 @@ class Bank:
         rows, columns = self._window
         cost = np.full((rows.stop - rows.start, columns.stop - columns.start), np.inf)
         which = np.zeros(cost.shape, np.intp)
-        coarse: dict[int, Array] = {}
-        for number, warp in enumerate(self.warps):
-            step = _coarse_step(self.measure, warp, levels)
-            if step > 1 and step not in coarse:
-                coarse[step] = _smaller(self.image, np.ones(self.image.shape[:2], bool), step)[0]
-            own = (
-                _pyramid_cost(self.measure, self.image, warp, limit, coarse[step], step)
-                if step > 1
-                else _cost(self.measure, self.image, warp)
-            )
-            y, x = ((size - 1) // 2 - first.start for size, first in zip(warp.mask.shape, self._window, strict=True))
-            part = np.s_[y : y + own.shape[0], x : x + own.shape[1]]
-            which[part][own < cost[part]] = number
-            cost[part] = np.minimum(cost[part], own)
+        steps = [_coarse_step(self.measure, warp, levels) for warp in self.warps]
+        for number, step in enumerate(steps):
+            if step == 1:
+                self._lay_over(cost, which, number)
+        if max(steps) > 1:
+            self._search(cost, which, limit, steps)
         return cost, which
+
+    def _search(self, cost: FloatArray, which: Array, limit: float, steps: Sequence[int]) -> None:
+        """Lay over the rest, beginning where the coarse image leaves hope of a cost up to the limit.
+
+        From there every template's cost is computed tile by tile until no accepted place has a neighbour that is
+        not computed: whole components, and all that the choice of the template and sub-pixel positions need.
+        """
+        coarse = {step: _smaller(self.image, np.ones(self.image.shape[:2], bool), step)[0] for step in {*steps} - {1}}
+        wanted, done = {}, {}
+        for number, (warp, step) in enumerate(zip(self.warps, steps, strict=True)):
+            if step > 1:
+                shape = cost[self._part(warp)].shape
+                done[number] = np.zeros([-(-side // TILE) for side in shape], bool)  # divided and rounded up
+                hopeful = _hopeful(self.measure, coarse[step], warp, limit, step, shape)
+                wanted[number] = _tiles_of(hopeful, done[number].shape)
+        while any(tiles.any() for tiles in wanted.values()):
+            for number, tiles in wanted.items():
+                h, w = self.warps[number].mask.shape
+                done[number] |= tiles
+                if tiles.any() and done[number].sum() * (TILE + h) * (TILE + w) > self.image[:, :, 0].size:
+                    done[number][:] = True
+                    self._lay_over(cost, which, number)  # faster in one piece
+                else:
+                    for y, x in np.argwhere(tiles) * TILE:
+                        self._lay_over(cost, which, number, int(y), int(x), TILE)
+            near = cv2.dilate((cost <= limit).astype(np.uint8), np.ones((3, 3), np.uint8))
+            wanted = {k: _tiles_of(near[self._part(self.warps[k])], done[k].shape) & ~done[k] for k in wanted}
+
+    def _part(self, warp: Warp) -> tuple[slice, slice]:
+        """Where the similarity image of one template lies in the joint one."""
+        starts = ((size - 1) // 2 - first for size, first in zip(warp.mask.shape, self.first_centre, strict=True))
+        rows, columns = (
+            slice(start, start + side - size + 1)
+            for start, side, size in zip(starts, self.image.shape[:2], warp.mask.shape, strict=True)
+        )
+        return rows, columns
+
+    def _lay_over(
+        self, cost: FloatArray, which: Array, number: int, y: int = 0, x: int = 0, side: int | None = None
+    ) -> None:
+        """Let a template compete for the places of its similarity image, or for a square of them."""
+        warp = self.warps[number]
+        h, w = warp.mask.shape
+        piece = self.image if side is None else self.image[y : y + side + h - 1, x : x + side + w - 1]
+        own = _cost(self.measure, piece, warp)
+        part = self._part(warp)
+        part = np.s_[part[0].start + y :, part[1].start + x :]
+        old, chosen = (array[part][: own.shape[0], : own.shape[1]] for array in (cost, which))
+        better = (own < old) | ((own == old) & (number < chosen))
+        chosen[better] = number
+        old[better] = own[better]
 
 
 # ---------------------------------------------------------------- coarse to fine
@@ -128,31 +175,9 @@ def _cost(measure: Method, image: Array, warp: Warp) -> FloatArray:
 
 def _coarse_step(measure: Method, warp: Warp, levels: int) -> int:
     """Side in px of a coarse pixel: 4 of them span the template. Of a measure of one's own nothing is known: 1."""
-    if not np.isfinite(measure.bounds).any():
+    if measure.name not in BUILT_IN:
         return 1
     return int(2 ** min(levels, np.floor(np.log2(max(min(warp.mask.shape) / 4, 1)))))
-
-
-def _pyramid_cost(measure: Method, image: Array, warp: Warp, limit: float, coarse: Array, step: int) -> FloatArray:
-    """Cost of each place, infinite where the coarse image leaves no hope of a cost up to the limit.
-
-    The coarse image tells where to begin. From there the cost is computed tile by tile until no accepted place
-    has a neighbour that is not computed: whole components, and all that sub-pixel positions need.
-    """
-    h, w = warp.mask.shape
-    cost = np.full((image.shape[0] - h + 1, image.shape[1] - w + 1), np.inf)
-    done = np.zeros([-(-side // TILE) for side in cost.shape], bool)  # divided and rounded up
-    wanted = _tiles_of(_hopeful(measure, coarse, warp, limit, step, cost.shape), done.shape)
-    while wanted.any():
-        done |= wanted
-        if done.sum() * (TILE + h) * (TILE + w) > image.shape[0] * image.shape[1]:
-            return _cost(measure, image, warp)  # faster in one piece
-        for y, x in np.argwhere(wanted) * TILE:
-            piece = image[y : y + TILE + h - 1, x : x + TILE + w - 1]
-            cost[y : y + TILE, x : x + TILE] = _cost(measure, piece, warp)
-        near = cv2.dilate((cost <= limit).astype(np.uint8), np.ones((3, 3), np.uint8))
-        wanted = _tiles_of(near, done.shape) & ~done
-    return cost
 
 
 def _tiles_of(places: Array, grid: tuple[int, ...]) -> Mask:
@@ -162,15 +187,36 @@ def _tiles_of(places: Array, grid: tuple[int, ...]) -> Mask:
 
 
 def _hopeful(measure: Method, coarse: Array, warp: Warp, limit: float, step: int, shape: tuple[int, ...]) -> Mask:
-    """Places near a local optimum of the coarse cost, where the limit is relaxed by what the coarse grid may add."""
-    small = Warp(warp.angle, warp.scale, *_smaller(warp.template, warp.mask, step))
+    """Places near a coarse cost up to the limit, which is relaxed by what the coarse grid may add."""
+    small = _coarse(measure, warp, step)
+    if not small.mask.any():
+        return np.ones(shape, bool)
     cost = _cost(measure, coarse, small)
-    relaxed = _relaxed(measure, limit, _misfit(measure, warp, small, step))
-    hopeful = (cost <= relaxed) & (cost == cv2.erode(cost, np.ones((3, 3), np.uint8)))
+    margin = _margin(measure, step)
     places = np.zeros(shape, bool)
-    for r, c in np.argwhere(hopeful) * step:
-        places[max(r - step, 0) : r + step + 1, max(c - step, 0) : c + step + 1] = True
+    for r, c in np.argwhere(cost <= _relaxed(measure, limit, warp, small, step)) * step - margin:
+        places[max(r - step, 0) : max(r + step + 1, 0), max(c - step, 0) : max(c + step + 1, 0)] = True
     return places
+
+
+def _margin(measure: Method, step: int) -> int:
+    """Rim of the template that is left out: a copy beside the coarse grid mixes it with what lies around the copy.
+
+    Nothing lies around the edges of ``sed``.
+    """
+    return 0 if measure.name == "sed" else step // 2
+
+
+def _coarse(measure: Method, warp: Warp, step: int, dy: int = 0, dx: int = 0) -> Warp:
+    """The template on the coarse grid, without its rim, as if moved up and left by so many px."""
+    rim = _margin(measure, step)
+    rows, columns = ((size - 2 * rim) // step * step for size in warp.mask.shape)
+    part = np.s_[rim + dy : rim + dy + rows, rim + dx : rim + dx + columns]
+    template, mask = warp.template[part], warp.mask[part]
+    if measure.name == "sed":
+        return Warp(warp.angle, warp.scale, *_smaller(template, mask, step))
+    whole = mask.reshape(rows // step, step, columns // step, step).min(axis=(1, 3))  # no square mixes in what is hidden
+    return Warp(warp.angle, warp.scale, _smaller(template, np.ones(mask.shape, bool), step)[0], whole)
 
 
 def _smaller(picture: Array, mask: Array, step: int) -> tuple[FloatArray, Array]:
@@ -186,22 +232,25 @@ def _smaller(picture: Array, mask: Array, step: int) -> tuple[FloatArray, Array]
     return means, np.ones((rows, columns), bool) if mask.all() else weights[:, :, 0] / step**2
 
 
-def _misfit(measure: Method, warp: Warp, small: Warp, step: int) -> float:
-    """Worst cost of a template whose exact copy lies half a square beside the coarse grid."""
-    h, w = warp.mask.shape
-    if not np.ptp(warp.template):  # nothing to compare, or edges, whose distance grows no faster than the shift
-        return float(step**2)
-    padded = np.pad(warp.template, ((0, step), (0, step), (0, 0)), mode="symmetric")
-    shifts = (0, step // 2), (step // 2, 0), (step // 2, step // 2)
-    copies = [_smaller(padded[dy : dy + h, dx : dx + w], np.ones((h, w), bool), step)[0] for dy, dx in shifts]
-    return max(float(_cost(measure, copy, small)[0, 0]) for copy in copies)
-
-
-def _relaxed(measure: Method, limit: float, misfit: float) -> float:
+def _relaxed(measure: Method, limit: float, warp: Warp, small: Warp, step: int) -> float:
     """The cost of a window at the limit that also misses the grid: what either leaves unexplained adds up."""
-    if measure.higher_is_better:
-        return float(-np.sqrt(max(0.0, limit**2 + misfit**2 - 1))) if limit < 0 else np.inf
-    return limit + misfit
+    if measure.name == "sed":  # whose distance grows no faster than the shift
+        return limit + step**2
+    half = step // 2
+    shifts = [(dy, dx) for dy in (-half, 0, half) for dx in (-half, 0, half)]
+    misfit = max(float(_cost(measure, _coarse(measure, warp, step, *shift).template, small)[0, 0]) for shift in shifts)
+    if not measure.higher_is_better:
+        return limit + misfit
+    kept = _contrast(measure, small) / max(_contrast(measure, warp), np.finfo(float).tiny)
+    explained = 1 - (1 - limit**2) / max(kept, np.finfo(float).tiny) - (1 - misfit**2)
+    return float(-np.sqrt(explained)) if limit < 0 < explained else np.inf
+
+
+def _contrast(measure: Method, warp: Warp) -> float:
+    """What of the template a correlation explains: its variance or, not centred, its mean square."""
+    values, weights = warp.template[warp.mask > 0].astype(np.float64), warp.mask[warp.mask > 0].astype(np.float64)
+    origin = np.average(values, axis=0, weights=weights) if measure.name == "zncc" else 0.0
+    return float(np.average((values - origin) ** 2, axis=0, weights=weights).mean())
 
 
 def _numbers(values: Iterable[float], name: str) -> list[float]:

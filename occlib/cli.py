@@ -1,4 +1,4 @@
-"""The roof: ``occlib reproduce | run | evaluate | calibrate | render | data``."""
+"""The roof: ``occlib reproduce | run | evaluate | compare | sweep | calibrate | render | data``."""
 
 from __future__ import annotations
 
@@ -55,6 +55,40 @@ def build_parser() -> argparse.ArgumentParser:
     p.add_argument("--pattern", required=True, metavar="9x6", help="inner corners, columns x rows")
     p.add_argument("--square", required=True, type=float, metavar="M", help="side of a square in m")
     p.add_argument("--out", metavar="camera.yaml", help="write the calibration here")
+
+    p = add("compare", "Look for a template in an image with each measure: a table, and a picture.", compare)
+    p.add_argument("image", metavar="IMAGE")
+    p.add_argument("template", metavar="TEMPLATE", help="a picture no larger than the image")
+    p.add_argument("--methods", nargs="+", metavar="NAME", help="ssd, sad, ncc, zncc, sed; all by default")
+    p.add_argument("--matchers", metavar="FILE.py", help="a file that registers matchers of your own")
+    p.add_argument("--threshold", metavar="T", help="otsu, mad or a score; by default what suits the template")
+    p.add_argument("--mask", metavar="IMAGE", help="weights of the template's pixels, black: not counted")
+    p.add_argument("--rule", default="components", metavar="NAME", help="components (default) or nms")
+    p.add_argument("--colour", action="store_true", help="compare in colour; grey by default")
+    p.add_argument("--out", default="compare.png", metavar="FILE.png", help="the picture (compare.png)")
+    p.add_argument("--json", action="store_true", help="print one JSON object instead of the table")
+
+    p = add(
+        "sweep", "Compare the template matching measures under every condition; goes on where it was stopped.", sweep
+    )
+    p.add_argument(
+        "--out",
+        default="runs/sweep",
+        metavar="DIR",
+        help="where the results go, finished batches are kept (runs/sweep)",
+    )
+    p.add_argument(
+        "--seeds", metavar="START:STOP", help="draws of the targets, as in 0:8; by default 0:5, with --fast 0:2"
+    )
+    p.add_argument("--conditions", nargs="+", metavar="NAME", help="gain, noise, rotation, ...; all by default")
+    p.add_argument("--sources", nargs="+", metavar="NAME", help="pictures and recordings; by default those that ship")
+    p.add_argument("--methods", nargs="+", metavar="NAME", help="ssd, sad, ncc, ...; all by default")
+    p.add_argument(
+        "--matchers", metavar="FILE.py", help="a file that registers matchers of your own with @matching.matcher"
+    )
+    p.add_argument("--jobs", type=int, default=1, metavar="N", help="processes; the results do not depend on it")
+    p.add_argument("--scheduler", metavar="tcp://HOST:PORT", help="use the workers of this Dask scheduler instead")
+    p.add_argument("--fast", action="store_true", help="three sources, two seeds, few levels")
 
     p = add("render", "Render a scene to a recording with exact ground truth.", render)
     p.add_argument("scene", metavar="SCENE", help="a scene.yaml, or a name in data/lab")
@@ -157,6 +191,79 @@ def calibrate(args: argparse.Namespace) -> int:
     return 0
 
 
+def compare(args: argparse.Namespace) -> int:
+    from occlib import charts, sweeps
+    from occlib.foreground import to_grey
+    from occlib.matching import compare as compare_measures
+    from occlib.plotting import figure_png
+    from occlib.recordings import read_image, write_file
+
+    if Path(args.out).suffix.lower() != ".png":
+        raise ValueError(f"--out: expected a file name that ends in .png, got {args.out}")
+    if args.matchers:
+        sweeps.load_matchers(args.matchers)
+    image, template = (
+        read_image(path) if args.colour else to_grey(read_image(path)) for path in (args.image, args.template)
+    )
+    mask = to_grey(read_image(args.mask)) if args.mask else None
+    results = compare_measures(
+        image, template, args.methods, threshold=_threshold(args.threshold), mask=mask, rule=args.rule
+    )
+    write_file(args.out, figure_png(charts.comparison_figure(image, template, results)))
+    table = charts.comparison_table(results)
+    if args.json:
+        rows = json.loads(table.to_json(orient="index"))
+        for name, result in results.items():
+            rows[name]["found"] = [[*match.centre_px, match.score] for match in result.matches]
+        print(json.dumps(rows))
+    else:
+        print(table.to_string(float_format="{:.4g}".format))
+        print(f"{args.out}: similarity images, thresholds and matches")
+    return 0
+
+
+def sweep(args: argparse.Namespace) -> int:
+    from functools import partial
+
+    from occlib import study, sweeps, trials
+    from occlib.matching import METHODS
+    from occlib.notebooks import file_hash, folder_hash
+    from occlib.recordings import open_recording
+
+    own = sweeps.load_matchers(args.matchers) if args.matchers else {}
+    names = trials.known_names(args.methods or METHODS, METHODS, "methods")
+    chosen = {"seeds": _seeds(args.seeds), "conditions": args.conditions, "sources": args.sources}
+    work = study.batches("fast" if args.fast else "default", **chosen)
+    recorded = sorted({batch.source for batch in work} - set(trials.PHOTOGRAPHS))
+    inputs: dict[str, Any] = {"methods": names, "matchers": file_hash(Path(args.matchers)) if own else ""}
+    inputs["recordings"] = {name: folder_hash(open_recording(name).path) for name in recorded}
+    made: dict[str, Any] = {}
+
+    def tables(table: Any) -> dict[str, Any]:
+        made.update({"summary.csv": study.summarise(table), "thresholds.csv": study.thresholds(table)})
+        made["verdicts.csv"] = study.verdicts(table)
+        return made
+
+    function = partial(study.run_batch, methods=tuple(own.get(name, name) for name in names))
+    options = {"jobs": args.jobs, "scheduler": args.scheduler, "inputs": inputs, "tables": tables}
+    count = len(sweeps.run_batches(work, function, args.out, **options))
+    for condition, statement in made["verdicts.csv"][["condition", "statement"]].itertuples(index=False):
+        print(f"{condition:>18}  {statement}")
+    print(f"{args.out}: trials.csv ({count} rows), {', '.join(made)}")
+    return 0
+
+
+def _seeds(text: str | None) -> range | None:
+    if text is None:
+        return None
+    start, _, stop = text.partition(":")
+    digits = all(part.isascii() and part.isdigit() and len(part) < 10 for part in (start, stop or "0"))
+    seeds = range(int(start), int(stop) if ":" in text and stop else int(start) + 1) if digits else range(0)
+    if not 0 < len(seeds) <= 10_000 or text.endswith(":"):
+        raise ValueError(f"--seeds: expected START:STOP, as in 0:8, or one number, got {text[:40]!r}")
+    return seeds
+
+
 def render(args: argparse.Namespace) -> int:
     from occlib.recordings import parse_frames
     from occlib.rendering import render as render_scene
@@ -205,8 +312,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         message = " ".join(str(error).split())
         print(f"occlib {args.command}: {message}", file=sys.stderr)
         return 2
-    except KeyboardInterrupt:
-        print(f"occlib {args.command}: interrupted", file=sys.stderr)
+    except KeyboardInterrupt as stop:
+        print(f"occlib {args.command}: {str(stop) or 'interrupted'}", file=sys.stderr)
         return 130
 
 

@@ -41,6 +41,7 @@ from occlib.notebooks import (
     execute,
     file_hash,
     find_root,
+    folder_hash,
     load_json,
     notebook_parameters,
     order,
@@ -231,8 +232,8 @@ def _plan(home: Path, notebooks: Iterable[str | Path] | None, given: Mapping[str
     versions = {"occlib": occlib.__version__, "cv2": cv2.__version__, "python": platform.python_version()}
     versions |= {library: importlib.metadata.version(library) for library in _LIBRARIES}
     versions |= {"platform": f"{platform.system()} {platform.machine()}"}
-    shared = {"versions": versions, "occlib_sha256": _folder_hash(PACKAGE)}
-    shared |= {"data_sha256": _folder_hash(home / "data" / "lab")}
+    shared = {"versions": versions, "occlib_sha256": folder_hash(PACKAGE)}
+    shared |= {"data_sha256": folder_hash(home / "data" / "lab")}
     runs = []
     for path in select_notebooks(notebooks, home):
         defaults = notebook_parameters(path)
@@ -245,14 +246,6 @@ def _plan(home: Path, notebooks: Iterable[str | Path] | None, given: Mapping[str
         inputs = {"parameters": chosen, "notebook_sha256": hashlib.sha256(source).hexdigest(), **shared}
         runs.append(Run(path.stem, source, overrides, inputs, home / "runs" / f"{path.stem}{suffix}"))
     return runs
-
-
-def _folder_hash(folder: Path) -> str:
-    digest = hashlib.sha256()
-    for path in sorted(folder.rglob("*")):
-        if path.is_file() and "__pycache__" not in path.parts:
-            digest.update(f"{path.relative_to(folder).as_posix()}\0{file_hash(path)}\n".encode())
-    return digest.hexdigest()
 
 
 def _is_current(run: Run) -> bool:

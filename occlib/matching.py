@@ -20,7 +20,7 @@ import numpy.typing as npt
 
 from occlib.banks import Bank, warps
 from occlib.geometry import FloatArray, Image, Mask
-from occlib.measures import METHODS, Array, Method
+from occlib.measures import BUILT_IN, METHODS, Array, Method
 
 __all__ = [
     "METHODS",
@@ -33,11 +33,11 @@ __all__ = [
     "matcher",
     "optima",
     "reference_similarity",
+    "refine",
     "score_threshold",
     "similarity",
 ]
 
-BUILT_IN = tuple(METHODS)
 THRESHOLDS = ("otsu", "mad")
 RULES = ("components", "nms")
 SPREAD = 5.0
@@ -307,6 +307,31 @@ def optima(
     return np.stack(np.unravel_index(places[:max_count], values.shape), axis=1)
 
 
+def refine(score: npt.ArrayLike, places: npt.ArrayLike) -> FloatArray:
+    """Optima to a fraction of a pixel: the vertices of the parabolas through each place and its neighbours.
+
+    Parameters
+    ----------
+    score
+        Similarity image (M, N).
+    places
+        (K, 2) whole rows and columns of optima, as from :func:`optima`.
+
+    Returns
+    -------
+    ndarray
+        float64 (K, 2) rows and columns, moved by at most half a pixel; not at all at a border or on a plateau.
+
+    Examples
+    --------
+    >>> refine([[9, 1, 5]], [[0, 1]])
+    array([[0.        , 1.16666667]])
+    """
+    values = np.asarray(score, dtype=np.float64)
+    moved = [(r + _vertex(values[:, c], r), c + _vertex(values[r], c)) for r, c in np.reshape(places, (-1, 2))]
+    return np.reshape(moved, (-1, 2)).astype(np.float64)
+
+
 def _unsuppressed(cost: FloatArray, accepted: Mask, rows: int, columns: int) -> npt.NDArray[np.intp]:
     """Flat indices of the accepted places that are the best within so many rows and columns, best first."""
     best = cv2.erode(cost, np.ones((2 * rows + 1, 2 * columns + 1), np.uint8))
@@ -567,7 +592,8 @@ def _match(bank: Bank, score: FloatArray, r: int, c: int, number: int, subpixel:
         height, width = size[0] * warp.scale, size[1] * warp.scale
         y, x = y - (height - size[0]) / 2, x - (width - size[1]) / 2
     if subpixel:
-        y, x = y + _vertex(score[:, c], r), x + _vertex(score[r], c)
+        (row, column), *_ = refine(score, [[r, c]])
+        y, x = y + float(row) - r, x + float(column) - c
     return Match(x, y, float(score[r, c]), width, height, warp.angle, warp.scale)
 
 

@@ -92,11 +92,9 @@ class Method:
 
 
 def _spectrum(values: Array, shape: tuple[int, ...]) -> Array:
-    padded = values
-    if values.shape != shape or values.dtype != np.float64:
-        padded = np.zeros(shape)
-        padded[: values.shape[0], : values.shape[1]] = values
-    return np.asarray(cv2.dft(padded, nonzeroRows=values.shape[0])).reshape(shape)
+    padded = np.zeros(shape)
+    padded[: values.shape[0], : values.shape[1]] = values
+    return np.asarray(cv2.dft(padded, padded, nonzeroRows=values.shape[0])).reshape(shape)
 
 
 def _correlations(*sums: Pairs) -> list[Array]:
@@ -110,22 +108,25 @@ def _correlations(*sums: Pairs) -> list[Array]:
     shape = tuple(max(2, cv2.getOptimalDFTSize(size)) for size in image.shape)
     rows, columns = (a - b + 1 for a, b in zip(image.shape, kernel.shape, strict=True))
     spectra: dict[int, Array] = {}
+    product, total = np.empty(shape), np.empty(shape)  # fresh memory costs more than the arithmetic
     results = []
-    for pairs in sums:
+    for position, pairs in enumerate(sums, start=1):
         exact = image.dtype.kind != "f"
         if exact and sum(_error(f, k) for f, k in pairs) > 0.25:
             results.append(np.sum([_by_digits(f, k) for f, k in pairs], axis=0))
             continue
-        total: Any = None
-        for f, k in pairs:
+        for number, (f, k) in enumerate(pairs):
             for values in (f, k):
                 if id(values) not in spectra:
                     spectra[id(values)] = _spectrum(values, shape)
-            product = cv2.mulSpectrums(spectra[id(f)], spectra[id(k)], 0, conjB=True)
-            total = product if total is None else np.add(total, product, out=total)
+            cv2.mulSpectrums(spectra[id(f)], spectra[id(k)], 0, product if number else total, conjB=True)
+            if number:
+                total += product
+        needed = {id(values) for later in sums[position:] for pair in later for values in pair}
+        spectra = {key: spectrum for key, spectrum in spectra.items() if key in needed}
         flags = cv2.DFT_INVERSE | cv2.DFT_SCALE | cv2.DFT_REAL_OUTPUT
-        total = cv2.dft(total, total, flags, nonzeroRows=rows).reshape(shape)[:rows, :columns]
-        results.append(_rounded(total) if exact else total)
+        valid = cv2.dft(total, total, flags, nonzeroRows=rows).reshape(shape)[:rows, :columns]
+        results.append(_rounded(valid) if exact else valid.copy())
     return results
 
 
@@ -214,7 +215,7 @@ def _ssd(image: Array, template: Array, mask: Array) -> FloatArray:
             (part,) = _correlations([(f, -2 * k)])
             part += _window_moments(f, *k.shape)[1]
         else:
-            squares = f.astype(np.int64) ** 2
+            squares = f.astype(np.uint32) ** 2
             (part,) = _correlations([(squares, weights), (f, -2 * k)])
         part += (k * k).sum()
         total = np.add(part, total, out=part)
@@ -224,11 +225,11 @@ def _ssd(image: Array, template: Array, mask: Array) -> FloatArray:
 def _float_ssd(image: Array, template: Array, mask: Array) -> FloatArray:
     used = mask > 0
     origin = template[used].mean(axis=0)  # differences do not change, but the sums that cancel become smaller
-    image, template = image - origin, np.where(used[:, :, None], template - origin, 0.0)
+    near, own = image - origin, np.where(used[:, :, None], template - origin, 0.0)
     total: Any = 0
-    for f, t in _channels(image, template):
+    for f, t in _channels(near, own):
         total = total + _correlations([(f * f, mask), (f, -2 * mask * t)])[0] + (mask * t * t).sum()
-    peak = max(float(np.abs(image).max()), float(np.abs(template).max()))
+    peak = max(float(np.abs(near).max()), float(np.abs(own).max()))
     doubtful = np.argwhere(total <= CANCELLED * peak**2 * mask.sum() * image.shape[2])
     total[tuple(doubtful.T)] = _direct_ssd(image, template, mask, doubtful)
     return np.asarray(total, dtype=np.float64)
@@ -314,26 +315,43 @@ def _ncc(image: Array, template: Array, mask: Array, *, centred: bool = False) -
             (product,) = _correlations([(f, k)])
             sums, squares = _window_moments(f, *k.shape)
         else:
-            product, sums, squares = _correlations([(f, k)], [(f, weights)], [(f.astype(np.int64) ** 2, weights)])
-        t_sum = int(k.sum()) if centred else 0
-        own += float(n * int((k * k).sum()) - t_sum**2)
-        # The products of the sums fit into 64 bit, or are taken as float64, which is 1e-12 off at worst.
-        fits = n**2 * int(max(f.max(), t.max())) ** 2 < 2**62
-        _add_products(product, sums, squares, t_sum if fits else float(t_sum), n, centred, cross, energy)
+            product, sums, squares = _correlations([(f, k)], [(f, weights)], [(f.astype(np.uint32) ** 2, weights)])
+        t_sum = int(k.sum())
+        # Twice the largest variance may pass 64 bit where the products of the sums do; a wrapped difference is right.
+        wide = n * int(max(f.max(), t.max())) >= 2**32
+        own += _centred(int((k * k).sum()), t_sum, t_sum, n, wide) if centred else float((k * k).sum())
+        _add_products(product, sums, squares, t_sum, n, centred, wide, cross, energy)
     return _normalised(cross, energy, own, 0.0)
 
 
 @numba.njit(cache=True, nogil=True)
 def _add_products(
-    product: Array, sums: Array, squares: Array, t_sum: float, n: int, centred: bool, cross: Array, energy: Array
+    product: Array, sums: Array, squares: Array, t_sum: int, n: int, centred: bool, wide: bool, cross: Array, energy: Array
 ) -> None:  # pragma: no cover
-    """Add ``n sum(tf) - sum(t) sum(f)`` and ``n sum(f^2) - sum(f)^2`` of a channel, or the first terms alone."""
-    one = t_sum * 0 + 1  # of the type of t_sum
+    """Add ``n sum(tf) - sum(t) sum(f)`` and ``n sum(f^2) - sum(f)^2`` of a channel, or ``sum(tf)`` and ``sum(f^2)``."""
     for r in range(cross.shape[0]):
-        for c in range(cross.shape[1]):
-            f_sum = one * sums[r, c] if centred else one * 0
-            cross[r, c] += one * n * product[r, c] - t_sum * f_sum
-            energy[r, c] += one * n * squares[r, c] - f_sum * f_sum
+        if centred:
+            for c in range(cross.shape[1]):
+                cross[r, c] += _centred(product[r, c], t_sum, sums[r, c], n, wide)
+                energy[r, c] += _centred(squares[r, c], sums[r, c], sums[r, c], n, wide)
+        else:
+            for c in range(cross.shape[1]):
+                cross[r, c] += product[r, c]
+                energy[r, c] += squares[r, c]
+
+
+@numba.njit(cache=True, nogil=True)
+def _centred(product: int, one: int, other: int, n: int, wide: bool) -> float:  # pragma: no cover
+    """``n product - one other`` of whole numbers, rounded once, though the terms may pass 64 bit.
+
+    The last 64 bits of the difference are exact; the first ones are those of the difference in float64, whose
+    error is far below ``2^64``.
+    """
+    last = np.float64(n * product - one * other)
+    if not wide:
+        return last
+    about = np.float64(n) * np.float64(product) - np.float64(one) * np.float64(other)
+    return last + 2.0**64 * np.rint((about - last) / 2.0**64)
 
 
 @numba.njit(cache=True, nogil=True)
@@ -416,8 +434,8 @@ def _edges(image: Array, templates: Sequence[Array]) -> tuple[Mask, list[Mask]]:
     if image.dtype != np.uint8:
         low = min(float(a.min()) for a in (image, *templates))
         span = max(float(a.max()) for a in (image, *templates)) - low
-        scale = 255 / span if span > 0 else 0.0
-        image, *templates = (np.rint((a.astype(float) - low) * scale).astype(np.uint8) for a in (image, *templates))
+        span = span if span > 0 else 1.0
+        image, *templates = (np.rint((a.astype(float) - low) / span * 255).astype(np.uint8) for a in (image, *templates))
     found = []
     for picture, limit in ((image, EDGE_IMAGE), *((t, EDGE_TEMPLATE) for t in templates)):
         smooth = cv2.GaussianBlur(np.ascontiguousarray(picture), (3, 3), 0)
@@ -456,6 +474,9 @@ def _sed(distances: Array, constant: Array, mask: Array) -> FloatArray:
     exact = values.dtype.kind == "i" and mask.dtype == np.bool_
     kind = np.int64 if exact else np.float64
     (total,) = _correlations([(values.astype(kind), mask.astype(kind))])
+    if not exact:  # where every edge lies on an edge, the sum of floats is 0 up to rounding
+        (total_exact,) = _correlations([(np.rint(values).astype(np.int64), (mask > 0).astype(np.int64))])
+        total[total_exact == 0] = 0
     return np.asarray(np.maximum(total, 0) / mask.sum(), dtype=np.float64)
 
 
@@ -583,3 +604,5 @@ METHODS: dict[str, Method] = {
     )
 }
 """The measures by name. :func:`occlib.matching.matcher` adds one of your own."""
+
+BUILT_IN = tuple(METHODS)

@@ -153,6 +153,15 @@ def file_hash(path: Path) -> str:
     return hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else ""
 
 
+def folder_hash(folder: Path, pattern: str = "*") -> str:
+    """SHA-256 of the names and contents of the files in and below a folder."""
+    digest = hashlib.sha256()
+    for path in sorted(folder.rglob(pattern)):
+        if path.is_file() and "__pycache__" not in path.parts:
+            digest.update(f"{path.relative_to(folder).as_posix()}\0{file_hash(path)}\n".encode())
+    return digest.hexdigest()
+
+
 def execute(runs: Sequence[Run], jobs: int, home: Path, progress: bool) -> None:
     """Run each notebook in a process of its own, at most ``jobs`` at a time; after a failure start no more."""
     from tqdm import tqdm

@@ -422,11 +422,10 @@ def show_similarity(
 
 
 def show_matches(ax: Axes, matches: Sequence[Match], *, colour: str = "#D55E00") -> None:
-    """The frame and the centre of each match, on an image in px."""
+    """The frame, turned as the match is, and the centre of each match, on an image in px."""
     for match in matches:
-        x, y = match.x - 0.5, match.y - 0.5
-        corners = [(x, y), (x + match.width, y), (x + match.width, y + match.height), (x, y + match.height), (x, y)]
-        ax.plot(*np.transpose(corners), color=colour, linewidth=1.4)
+        corners = match.corners_px
+        ax.plot(*np.vstack([corners, corners[:1]]).T, color=colour, linewidth=1.4)
         ax.plot(*match.centre_px, "+", color=colour, markersize=8, markeredgewidth=1.6)
 
 

@@ -53,9 +53,9 @@ def run(project: Path, *notebooks: str, **options: object) -> experiments.Report
 @pytest.fixture(scope="module", autouse=True)
 def package_hash() -> Iterator[None]:
     """The same all along, whoever saves a module of the package while these tests run."""
-    package, folder_hash = experiments.PACKAGE, experiments._folder_hash
+    package, folder_hash = experiments.PACKAGE, experiments.folder_hash
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(experiments, "_folder_hash", lambda folder: "0" if folder == package else folder_hash(folder))
+        patch.setattr(experiments, "folder_hash", lambda folder: "0" if folder == package else folder_hash(folder))
         yield
 
 
