@@ -13,10 +13,13 @@ import cv2
 import numpy as np
 
 from occlib.geometry import FloatArray, Mask
-from occlib.measures import BUILT_IN, Array, Method
+from occlib.measures import Array, Method
 
 TILE = 64
 """Side in px of the squares of the similarity image that the search from coarse to fine computes at a time."""
+
+COARSE = ("ssd", "sad", "ncc", "zncc")
+"""Measures that are searched from coarse to fine: ``sed`` is no slower in full, and of others nothing is known."""
 
 
 @dataclass(frozen=True)
@@ -116,10 +119,10 @@ class Bank:
     def _search(self, cost: FloatArray, which: Array, limit: float, steps: Sequence[int]) -> None:
         """Lay over the rest, beginning where the coarse image leaves hope of a cost up to the limit.
 
-        From there every template's cost is computed tile by tile until no accepted place has a neighbour that is
-        not computed: whole components, and all that the choice of the template and sub-pixel positions need.
+        From there a template's cost is computed tile by tile until none of the places that it won has a neighbour
+        where it is not computed: whole components.
         """
-        coarse = {step: _smaller(self.image, np.ones(self.image.shape[:2], bool), step)[0] for step in {*steps} - {1}}
+        coarse = {step: _smaller(self.image, step) for step in {*steps} - {1}}
         wanted, done = {}, {}
         for number, (warp, step) in enumerate(zip(self.warps, steps, strict=True)):
             if step > 1:
@@ -137,8 +140,22 @@ class Bank:
                 else:
                     for y, x in np.argwhere(tiles) * TILE:
                         self._lay_over(cost, which, number, int(y), int(x), TILE)
-            near = cv2.dilate((cost <= limit).astype(np.uint8), np.ones((3, 3), np.uint8))
-            wanted = {k: _tiles_of(near[self._part(self.warps[k])], done[k].shape) & ~done[k] for k in wanted}
+            for number in wanted:
+                won = ((cost <= limit) & (which == number))[self._part(self.warps[number])]
+                near = cv2.dilate(won.astype(np.uint8), np.ones((3, 3), np.uint8))
+                wanted[number] = _tiles_of(near, done[number].shape) & ~done[number]
+
+    def complete(self, cost: FloatArray, which: Array, places: Array) -> None:
+        """Let every template compete for the neighbours of these places too, between which the vertex is sought."""
+        for number, warp in enumerate(self.warps):
+            h, w = warp.mask.shape
+            rows, columns = self._part(warp)
+            if len(places) * (h + 2) * (w + 2) > self.image[:, :, 0].size:
+                self._lay_over(cost, which, number)  # faster in one piece
+                continue
+            for r, c in places - (rows.start, columns.start):
+                if -1 <= r <= rows.stop - rows.start and -1 <= c <= columns.stop - columns.start:
+                    self._lay_over(cost, which, number, max(int(r) - 1, 0), max(int(c) - 1, 0), 3)
 
     def _part(self, warp: Warp) -> tuple[slice, slice]:
         """Where the similarity image of one template lies in the joint one."""
@@ -174,8 +191,8 @@ def _cost(measure: Method, image: Array, warp: Warp) -> FloatArray:
 
 
 def _coarse_step(measure: Method, warp: Warp, levels: int) -> int:
-    """Side in px of a coarse pixel: 4 of them span the template. Of a measure of one's own nothing is known: 1."""
-    if measure.name not in BUILT_IN:
+    """Side in px of a coarse pixel: 4 of them span the template."""
+    if measure.name not in COARSE:
         return 1
     return int(2 ** min(levels, np.floor(np.log2(max(min(warp.mask.shape) / 4, 1)))))
 
@@ -188,57 +205,42 @@ def _tiles_of(places: Array, grid: tuple[int, ...]) -> Mask:
 
 def _hopeful(measure: Method, coarse: Array, warp: Warp, limit: float, step: int, shape: tuple[int, ...]) -> Mask:
     """Places near a coarse cost up to the limit, which is relaxed by what the coarse grid may add."""
-    small = _coarse(measure, warp, step)
+    small = _coarse(warp, step)
     if not small.mask.any():
         return np.ones(shape, bool)
     cost = _cost(measure, coarse, small)
-    margin = _margin(measure, step)
+    half = step // 2
     places = np.zeros(shape, bool)
-    for r, c in np.argwhere(cost <= _relaxed(measure, limit, warp, small, step)) * step - margin:
-        places[max(r - step, 0) : max(r + step + 1, 0), max(c - step, 0) : max(c + step + 1, 0)] = True
+    for r, c in np.argwhere(cost <= _relaxed(measure, limit, warp, small, step)) * step - half:
+        places[max(r - half, 0) : r + half + 1, max(c - half, 0) : c + half + 1] = True
     return places
 
 
-def _margin(measure: Method, step: int) -> int:
-    """Rim of the template that is left out: a copy beside the coarse grid mixes it with what lies around the copy.
+def _coarse(warp: Warp, step: int, dy: int = 0, dx: int = 0) -> Warp:
+    """The template on the coarse grid, as if moved up and left by so many px, up to half a square.
 
-    Nothing lies around the edges of ``sed``.
+    A rim of half a square is left out: a copy beside the grid mixes it with what lies around the copy.
     """
-    return 0 if measure.name == "sed" else step // 2
-
-
-def _coarse(measure: Method, warp: Warp, step: int, dy: int = 0, dx: int = 0) -> Warp:
-    """The template on the coarse grid, without its rim, as if moved up and left by so many px."""
-    rim = _margin(measure, step)
-    rows, columns = ((size - 2 * rim) // step * step for size in warp.mask.shape)
+    rows, columns = (size // step * step - step for size in warp.mask.shape)
+    rim = step // 2
     part = np.s_[rim + dy : rim + dy + rows, rim + dx : rim + dx + columns]
     template, mask = warp.template[part], warp.mask[part]
-    if measure.name == "sed":
-        return Warp(warp.angle, warp.scale, *_smaller(template, mask, step))
-    whole = mask.reshape(rows // step, step, columns // step, step).min(axis=(1, 3))  # no square mixes in what is hidden
-    return Warp(warp.angle, warp.scale, _smaller(template, np.ones(mask.shape, bool), step)[0], whole)
+    whole = mask.reshape(rows // step, step, columns // step, step).min(axis=(1, 3))  # or squares mix in what is hidden
+    return Warp(warp.angle, warp.scale, _smaller(template, step), whole)
 
 
-def _smaller(picture: Array, mask: Array, step: int) -> tuple[FloatArray, Array]:
-    """Weighted means of squares of ``step`` px, and the mean weights; what does not fill a square is cut off."""
+def _smaller(picture: Array, step: int) -> FloatArray:
+    """Means of squares of ``step`` px; what does not fill a square is cut off."""
     rows, columns = picture.shape[0] // step, picture.shape[1] // step
-
-    def total(values: Array) -> FloatArray:
-        blocks = values[: rows * step, : columns * step].astype(np.float64).reshape(rows, step, columns, step, -1)
-        return np.asarray(blocks.sum(axis=(1, 3)))
-
-    weights = total(mask)
-    means = total(picture * mask[:, :, None]) / np.where(weights > 0, weights, 1)
-    return means, np.ones((rows, columns), bool) if mask.all() else weights[:, :, 0] / step**2
+    squares = picture[: rows * step, : columns * step].astype(np.float64).reshape(rows, step, columns, step, -1)
+    return np.asarray(squares.mean(axis=(1, 3)))
 
 
 def _relaxed(measure: Method, limit: float, warp: Warp, small: Warp, step: int) -> float:
     """The cost of a window at the limit that also misses the grid: what either leaves unexplained adds up."""
-    if measure.name == "sed":  # whose distance grows no faster than the shift
-        return limit + step**2
     half = step // 2
     shifts = [(dy, dx) for dy in (-half, 0, half) for dx in (-half, 0, half)]
-    misfit = max(float(_cost(measure, _coarse(measure, warp, step, *shift).template, small)[0, 0]) for shift in shifts)
+    misfit = max(float(_cost(measure, _coarse(warp, step, *shift).template, small)[0, 0]) for shift in shifts)
     if not measure.higher_is_better:
         return limit + misfit
     kept = _contrast(measure, small) / max(_contrast(measure, warp), np.finfo(float).tiny)

@@ -13,6 +13,7 @@ import numpy.typing as npt
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullLocator
 
 from occlib.conditions import CONDITIONS
 from occlib.geometry import Image
@@ -172,7 +173,7 @@ def level_curves(
     columns
         Panels in a row.
     log
-        A logarithmic value axis.
+        A logarithmic value axis, over the range of the values; intervals may be cut off.
     """
     names = _with_levels(summary)
     looks = measure_styles(summary[by]) if styles is None else styles
@@ -188,8 +189,10 @@ def level_curves(
         ax.set_xticks(range(len(levels)), [f"{level:g}" for level in levels], fontsize=8)
         ax.set_xlabel(CONDITIONS[name].unit if name in CONDITIONS else "level", fontsize=9)
         ax.set_title(name, fontsize=10, fontweight="bold")
-    axes[0, 0].set(yscale="log" if log else "linear")
-    if not log:
+    if log:  # an interval may reach below zero or far up; the values decide what is shown
+        _log_axis(axes[0, 0])
+        axes[0, 0].set_ylim(summary[value].min() / 1.8, summary[value].max() * 1.8)
+    else:
         axes[0, 0].set_ylim(*((-0.03, 1.03) if value in ("recall", "precision", "f1") else (0, None)))
     for ax in axes[:, 0]:
         ax.set_ylabel(LABELS.get(value, value))
@@ -218,6 +221,14 @@ def _panels(count: int, columns: int, height: float) -> tuple[Figure, Any]:
     return fig, axes
 
 
+def _log_axis(ax: Axes) -> None:
+    """A logarithmic value axis with plain numbers at 1, 2 and 5."""
+    ax.set_yscale("log")
+    ax.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+    ax.yaxis.set_major_formatter("{x:g}")
+    ax.yaxis.set_minor_locator(NullLocator())
+
+
 def _line(ax: Axes, line: pd.DataFrame, value: str, shift: float, look: Mapping[str, Any]) -> None:
     x, y = np.arange(len(line)) + shift, line[value].to_numpy(float)
     ax.plot(x, y, **{"markersize": 4, "linewidth": 0.8, **look})
@@ -239,7 +250,7 @@ def precision_recall_curves(curves: pd.DataFrame, by: str = "condition", *, colu
             line = curves[(curves[by] == name) & (curves["method"] == method)]
             ax.plot(line["recall"], line["precision"], color=look["color"], linewidth=1.4)
             if len(line):
-                best = line.loc[line["f1"].idxmax()]
+                best = line.iloc[[int(line["f1"].to_numpy().argmax())]]
                 ax.plot(best["recall"], best["precision"], **{"markersize": 6, "linestyle": "", **look})
         ax.set(xlim=(0, 1.03), ylim=(0, 1.04))
         ax.set_title(name, fontsize=10, fontweight="bold")
@@ -259,31 +270,25 @@ def runtime_curves(ax: Axes, times: pd.DataFrame, value: str = "median_ms", labe
         line = times[times["method"] == method].sort_values("side")
         ax.plot(line["side"], line[value], label=method, **look)
     sides = sorted(times["side"].unique())
-    ax.set(xscale="log", yscale="log", xlabel="side of the template (px)", ylabel=label)
+    _log_axis(ax)
+    ax.set(xscale="log", xlabel="side of the template (px)", ylabel=label)
     ax.set_xticks(sides, [f"{side:g}" for side in sides])
     ax.set_xticks([], minor=True)
     ax.grid(color="0.9", linewidth=0.6)
     ax.legend(frameon=False, fontsize=8)
 
 
-def heatmap(
-    ax: Axes,
-    values: pd.DataFrame,
-    title: str = "",
-    *,
-    marked: pd.DataFrame | None = None,
-    cmap: str = "viridis",
-    limits: tuple[float, float] = (0.0, 1.0),
-) -> None:
-    """A table as coloured cells with their numbers to two digits; NaN stays empty, ``marked`` ones are bold and framed."""
+def heatmap(ax: Axes, values: pd.DataFrame, title: str = "", *, marked: pd.DataFrame | None = None) -> None:
+    """Shares, 0 to 1, as coloured cells with two digits; NaN stays empty, ``marked`` ones are bold and framed."""
     numbers = values.to_numpy(float)
-    shown = ax.imshow(numbers, cmap=cmap, vmin=limits[0], vmax=limits[1], aspect="auto")
+    shown = ax.imshow(numbers, vmin=0, vmax=1, aspect="auto")
     for (row, column), number in np.ndenumerate(numbers):
         if np.isfinite(number):
             bold = marked is not None and bool(marked.iloc[row, column])
             light = np.dot(np.asarray(shown.to_rgba(number))[:3], [0.3, 0.59, 0.11]) > 0.5
-            ax.text(column, row, f"{number:.2f}", ha="center", va="center", fontsize=8,
-                    color="black" if light else "white", fontweight="bold" if bold else "normal")  # fmt: skip
+            text = ax.text(column, row, f"{number:.2f}", ha="center", va="center", fontsize=8,
+                           color="black" if light else "white", fontweight="bold" if bold else "normal")  # fmt: skip
+            text.set_in_layout(False)  # it is inside the axes, and measuring hundreds of texts takes seconds
             if bold:
                 corner = np.array([column - 0.46, row - 0.44])
                 ax.plot(corner[0] + np.array([0, 0.92, 0.92, 0, 0]), corner[1] + np.array([0, 0, 0.88, 0.88, 0]),
@@ -308,6 +313,10 @@ def verdict_figure(verdicts: pd.DataFrame) -> Figure:
     heatmap(left, rows[methods], "area under recall (absent: specificity)\nframed: best, or not told from it",
             marked=pd.DataFrame(good))  # fmt: skip
     left.set_yticks(range(len(rows)), [f"{name} ({row['best']})" for name, row in rows.iterrows()])
+    for place, name in enumerate(rows.index):
+        if name == "constant light":  # below: means over conditions
+            left.axhline(place - 0.5, color="black", linewidth=2)
+            right.axhline(place - 0.5, color="black", linewidth=2)
     places = np.arange(len(rows))
     right.hlines(places, rows["low"], rows["high"], color="black", linewidth=1.4)
     right.plot(rows["area"], places, "o", color="black", markersize=4)

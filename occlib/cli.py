@@ -78,8 +78,9 @@ def build_parser() -> argparse.ArgumentParser:
         help="where the results go, finished batches are kept (runs/sweep)",
     )
     p.add_argument(
-        "--seeds", metavar="START:STOP", help="draws of the targets, as in 0:8; by default 0:5, with --fast 0:2"
+        "--seeds", metavar="START:STOP", help="draws of the targets, as in 0:8; by default 0:12, with --fast 0:2"
     )
+    p.add_argument("--sides", nargs="+", type=int, metavar="PX", help="template sides, 16 to 128; by default 24 48 96")
     p.add_argument("--conditions", nargs="+", metavar="NAME", help="gain, noise, rotation, ...; all by default")
     p.add_argument("--sources", nargs="+", metavar="NAME", help="pictures and recordings; by default those that ship")
     p.add_argument("--methods", nargs="+", metavar="NAME", help="ssd, sad, ncc, ...; all by default")
@@ -88,7 +89,7 @@ def build_parser() -> argparse.ArgumentParser:
     )
     p.add_argument("--jobs", type=int, default=1, metavar="N", help="processes; the results do not depend on it")
     p.add_argument("--scheduler", metavar="tcp://HOST:PORT", help="use the workers of this Dask scheduler instead")
-    p.add_argument("--fast", action="store_true", help="three sources, two seeds, few levels")
+    p.add_argument("--fast", action="store_true", help="one template size, three sources, two seeds, few levels")
 
     p = add("render", "Render a scene to a recording with exact ground truth.", render)
     p.add_argument("scene", metavar="SCENE", help="a scene.yaml, or a name in data/lab")
@@ -223,17 +224,19 @@ def compare(args: argparse.Namespace) -> int:
 
 
 def sweep(args: argparse.Namespace) -> int:
+    from contextlib import suppress
     from functools import partial
 
-    from occlib import study, sweeps, trials
+    from occlib import charts, study, sweeps, trials
     from occlib.matching import METHODS
     from occlib.notebooks import file_hash, folder_hash
-    from occlib.recordings import open_recording
+    from occlib.plotting import figure_png
+    from occlib.recordings import open_recording, write_file
 
     own = sweeps.load_matchers(args.matchers) if args.matchers else {}
     names = trials.known_names(args.methods or METHODS, METHODS, "methods")
-    chosen = {"seeds": _seeds(args.seeds), "conditions": args.conditions, "sources": args.sources}
-    work = study.batches("fast" if args.fast else "default", **chosen)
+    chosen = {"seeds": _seeds(args.seeds), "sides": args.sides, "conditions": args.conditions, "sources": args.sources}
+    work = study.batches("fast" if args.fast else "full", **chosen)
     recorded = sorted({batch.source for batch in work} - set(trials.PHOTOGRAPHS))
     inputs: dict[str, Any] = {"methods": names, "matchers": file_hash(Path(args.matchers)) if own else ""}
     inputs["recordings"] = {name: folder_hash(open_recording(name).path) for name in recorded}
@@ -247,9 +250,14 @@ def sweep(args: argparse.Namespace) -> int:
     function = partial(study.run_batch, methods=tuple(own.get(name, name) for name in names))
     options = {"jobs": args.jobs, "scheduler": args.scheduler, "inputs": inputs, "tables": tables}
     count = len(sweeps.run_batches(work, function, args.out, **options))
+    pictures = {"verdicts.png": charts.verdict_figure(made["verdicts.csv"])}
+    with suppress(ValueError):  # one level a condition draws no curve
+        pictures["recall.png"] = charts.level_curves(made["summary.csv"])
+    for name, picture in pictures.items():
+        write_file(Path(args.out) / name, figure_png(picture))
     for condition, statement in made["verdicts.csv"][["condition", "statement"]].itertuples(index=False):
         print(f"{condition:>18}  {statement}")
-    print(f"{args.out}: trials.csv ({count} rows), {', '.join(made)}")
+    print(f"{args.out}: trials.csv ({count} rows), {', '.join([*made, *pictures])}")
     return 0
 
 

@@ -43,6 +43,9 @@ RULES = ("components", "nms")
 SPREAD = 5.0
 """Standard deviations, estimated robustly, between the similarity image's median and the threshold ``"mad"``."""
 
+ROUNDING = 1e-12
+"""A similarity image whose scores differ by less than this share of the largest is constant."""
+
 
 @dataclass(frozen=True)
 class Match:
@@ -227,7 +230,7 @@ def score_threshold(score: npt.ArrayLike, method: str, threshold: Any) -> float:
     if isinstance(threshold, str) and threshold in THRESHOLDS:
         values = np.asarray(score, dtype=np.float64)
         values = values[np.isfinite(values)]
-        if values.size == 0 or np.ptp(values) == 0:
+        if values.size == 0 or np.ptp(values) <= ROUNDING * np.abs(values).max():
             return float("nan")
         if threshold == "otsu":
             from skimage.filters import threshold_otsu
@@ -382,7 +385,7 @@ def find(
     pyramid
         Search a picture smaller by ``2^pyramid`` first and compute ``S`` only where that leaves hope: worth it
         for many angles and scales, large templates and ``sad``. The matches are those of the full search. 0: off.
-        Not with ``"otsu"`` and ``"mad"``, which need all of ``S``.
+        Without effect on ``"otsu"`` and ``"mad"``, which need all of ``S``, on ``sed`` and on measures of your own.
 
     Returns
     -------
@@ -410,6 +413,9 @@ def find(
         limit = score_threshold(-cost if measure.higher_is_better else cost, method, threshold)
     score = -cost if measure.higher_is_better else cost
     places = optima(score, method, limit, rule, size=t.shape[:2], max_count=max_count)
+    if pyramid and subpixel and len(bank.warps) > 1:
+        bank.complete(cost, which, places)
+        score = -cost if measure.higher_is_better else cost
     return [_match(bank, score, int(r), int(c), which[r, c], subpixel, t.shape[:2]) for r, c in places]
 
 

@@ -317,8 +317,7 @@ def _ncc(image: Array, template: Array, mask: Array, *, centred: bool = False) -
         else:
             product, sums, squares = _correlations([(f, k)], [(f, weights)], [(f.astype(np.uint32) ** 2, weights)])
         t_sum = int(k.sum())
-        # Twice the largest variance may pass 64 bit where the products of the sums do; a wrapped difference is right.
-        wide = n * int(max(f.max(), t.max())) >= 2**32
+        wide = n * int(max(f.max(), t.max())) >= 2**32  # else n^2 times any covariance is below 2^62
         own += _centred(int((k * k).sum()), t_sum, t_sum, n, wide) if centred else float((k * k).sum())
         _add_products(product, sums, squares, t_sum, n, centred, wide, cross, energy)
     return _normalised(cross, energy, own, 0.0)
@@ -326,9 +325,17 @@ def _ncc(image: Array, template: Array, mask: Array, *, centred: bool = False) -
 
 @numba.njit(cache=True, nogil=True)
 def _add_products(
-    product: Array, sums: Array, squares: Array, t_sum: int, n: int, centred: bool, wide: bool, cross: Array, energy: Array
+    product: Array,
+    sums: Array,
+    squares: Array,
+    t_sum: int,
+    n: int,
+    centred: bool,
+    wide: bool,
+    cross: Array,
+    energy: Array,
 ) -> None:  # pragma: no cover
-    """Add ``n sum(tf) - sum(t) sum(f)`` and ``n sum(f^2) - sum(f)^2`` of a channel, or ``sum(tf)`` and ``sum(f^2)``."""
+    """Add ``n sum(tf) - sum(t) sum(f)`` and ``n sum(f^2) - sum(f)^2`` of a channel, or the sums of products alone."""
     for r in range(cross.shape[0]):
         if centred:
             for c in range(cross.shape[1]):
@@ -435,7 +442,9 @@ def _edges(image: Array, templates: Sequence[Array]) -> tuple[Mask, list[Mask]]:
         low = min(float(a.min()) for a in (image, *templates))
         span = max(float(a.max()) for a in (image, *templates)) - low
         span = span if span > 0 else 1.0
-        image, *templates = (np.rint((a.astype(float) - low) / span * 255).astype(np.uint8) for a in (image, *templates))
+        image, *templates = (
+            np.rint((a.astype(float) - low) / span * 255).astype(np.uint8) for a in (image, *templates)
+        )
     found = []
     for picture, limit in ((image, EDGE_IMAGE), *((t, EDGE_TEMPLATE) for t in templates)):
         smooth = cv2.GaussianBlur(np.ascontiguousarray(picture), (3, 3), 0)

@@ -78,7 +78,7 @@ class Preset:
 PRESETS = {
     "fast": Preset((0, 1), sources=("camera", "coins", "four_robots"), few_levels=True),
     "default": Preset(tuple(range(6))),
-    "full": Preset(tuple(range(20)), (24, 48, 96)),
+    "full": Preset(tuple(range(12)), (24, 48, 96)),
 }
 
 
@@ -94,7 +94,7 @@ def batches(
     """The work of a study, in a fixed order; whatever is given replaces the preset's choice.
 
     ``preset`` is ``"fast"`` (seconds), ``"default"`` (a minute or two on one core) or ``"full"`` (three sides,
-    20 seeds); ``tau_px`` is the error up to which a target counts as found. ``"time"`` runs only on sources
+    12 seeds); ``tau_px`` is the error up to which a target counts as found. ``"time"`` runs only on sources
     where things move, ``"side"`` only beside its own clean side. Raises ``ValueError`` for unknown names, for
     nothing to do, and for sides outside 16 to 128 px.
     """  # fmt: skip

@@ -1,7 +1,12 @@
-"""Template matching: the fast measures against the literal ones, planted targets, bounds, wrong arguments."""
+"""Template matching: planted targets, thresholds, optima, sub-pixel positions, own measures, wrong arguments."""
 
+import pickle
+import subprocess
+import sys
+from collections.abc import Iterator
 from typing import Any
 
+import cloudpickle
 import numpy as np
 import numpy.typing as npt
 import pytest
@@ -9,12 +14,24 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from occlib import matching
-from occlib.matching import METHODS, Match, default_threshold, find, reference_similarity, similarity
+from occlib import measures
+from occlib.matching import (
+    METHODS,
+    Match,
+    compare,
+    default_threshold,
+    find,
+    matcher,
+    optima,
+    reference_similarity,
+    refine,
+    score_threshold,
+    similarity,
+)
 
 Array = npt.NDArray[Any]
 DISTANCES = [name for name, method in METHODS.items() if not method.higher_is_better]
-every_method = pytest.mark.parametrize("method", METHODS)
+every_method = pytest.mark.parametrize("method", list(METHODS))
 
 
 def scene(shape: tuple[int, ...] = (90, 120), seed: int = 0) -> Array:
@@ -45,103 +62,6 @@ def best_place(score: Array, method: str) -> tuple[int, int]:
     return int(column), int(row)
 
 
-@st.composite
-def pairs(draw: st.DrawFn, kind: str) -> tuple[Array, Array, Array | None]:
-    """Image, template and mask, small, of one kind, grey or colour; values repeat often, so flat windows occur."""
-    height, width = draw(st.integers(1, 9)), draw(st.integers(1, 9))
-    h, w = draw(st.integers(1, height)), draw(st.integers(1, width))
-    tail = draw(st.sampled_from([(), (3,)]))
-    top = {"uint8": 255, "uint16": 65535, "float": 1000}[kind]
-    values = st.one_of(st.sampled_from([0, 1, top]), st.integers(0, top))
-    dtype = np.uint8 if kind == "uint8" else np.uint16
-    image = draw(hnp.arrays(dtype, (height, width, *tail), elements=values))
-    template = draw(hnp.arrays(dtype, (h, w, *tail), elements=values))
-    if draw(st.booleans()):
-        template = image[:h, :w].copy()
-    mask = draw(st.none() | hnp.arrays(bool, (h, w)).filter(np.any))
-    if kind == "float":
-        return image / 7 - 50, template / 7 - 50, mask
-    return image, template, mask
-
-
-# ---------------------------------------------------------------- fast against literal
-
-
-@every_method
-@pytest.mark.parametrize("kind", ["uint8", "uint16", "float"])
-@settings(max_examples=60, deadline=None)
-@given(data=st.data())
-def test_similarity_equals_the_literal_form(method: str, kind: str, data: st.DataObject) -> None:
-    image, template, mask = data.draw(pairs(kind))
-    fast = similarity(image, template, method, mask)
-    literal = reference_similarity(image, template, method, mask)
-    assert fast.shape == (image.shape[0] - template.shape[0] + 1, image.shape[1] - template.shape[1] + 1)
-    assert fast.dtype == np.float64 and np.isfinite(fast).all()
-    if kind != "float" and method in ("ssd", "sad"):
-        np.testing.assert_array_equal(fast, literal)
-    scale = 1.0 if METHODS[method].higher_is_better else np.abs(literal).max()
-    np.testing.assert_allclose(fast, literal, rtol=0, atol=1e-9 * scale)
-
-
-@pytest.mark.parametrize("tail", [(), (3,)])
-@pytest.mark.parametrize("masked", [False, True])
-def test_sed_equals_the_literal_form_where_there_are_edges(tail: tuple[int, ...], masked: bool) -> None:
-    image = scene((34, 40, *tail))
-    template = image[4:26, 6:30]
-    mask = np.random.default_rng(1).random(template.shape[:2]) < 0.5 if masked else None
-    fast = similarity(image, template, "sed", mask)
-    assert 0 < fast.max() < 34**2 + 40**2  # real distances, not the constant for "no edges"
-    np.testing.assert_allclose(fast, reference_similarity(image, template, "sed", mask), rtol=1e-12)
-
-
-@pytest.mark.parametrize("dtype, top", [(np.uint8, 255), (np.uint16, 65535)])
-@pytest.mark.parametrize("masked", [False, True])
-def test_integer_sums_are_exact_for_large_pictures(dtype: type, top: int, masked: bool) -> None:
-    rng = np.random.default_rng(2)
-    image: Array = rng.integers(top - 3, top + 1, (300, 400)).astype(dtype)
-    template: Array = rng.integers(0, top + 1, (100, 90)).astype(dtype)
-    mask = rng.random(template.shape) < 0.7 if masked else np.ones(template.shape, bool)
-    ssd, sad = similarity(image, template, "ssd", mask), similarity(image, template, "sad", mask)
-    for row, column in [(0, 0), (200, 310), (77, 123)]:
-        window = image[row : row + 100, column : column + 90].astype(int)
-        difference = (window - template.astype(int))[mask]
-        assert ssd[row, column] == (difference**2).sum() / mask.sum()
-        assert sad[row, column] == np.abs(difference).sum() / mask.sum()
-
-
-def test_float_ssd_keeps_its_precision_under_a_large_offset() -> None:
-    image = scene() / 64.0  # exact in binary, with or without the offset
-    template = image[31:61, 47:87] + 0.25
-    np.testing.assert_allclose(
-        similarity(image + 2.0**20, template + 2.0**20), similarity(image, template), rtol=0, atol=1e-11
-    )
-
-
-def test_equation_2_by_hand() -> None:
-    image: Array = np.array([[10, 20, 30], [40, 50, 60]], np.uint8)
-    template: Array = np.array([[20, 30]], np.uint8)
-    np.testing.assert_array_equal(similarity(image, template, "ssd"), [[100, 0], [400, 900]])
-    np.testing.assert_array_equal(similarity(image, template, "sad"), [[10, 0], [20, 30]])
-    assert similarity(image, template, "ncc")[0, 0] == pytest.approx(800 / np.sqrt(500 * 1300))
-    np.testing.assert_allclose(similarity(image, template, "zncc"), 1)
-
-
-def test_sed_by_hand() -> None:
-    """Edges in straight lines: a shift by s px off a lone vertical edge costs s^2."""
-    image = np.zeros((40, 60), np.uint8)
-    image[:, 30:] = 255
-    score = similarity(image, image[5:25, 20:40], "sed")
-    np.testing.assert_array_equal(score[0, 20:29], np.arange(9) ** 2)
-
-
-@every_method
-def test_a_grey_picture_scores_like_its_three_channel_copy(method: str) -> None:
-    image = scene((40, 50))
-    template = image[8:28, 10:34]
-    colour = similarity(np.dstack([image] * 3), np.dstack([template] * 3), method)
-    np.testing.assert_allclose(colour, similarity(image, template, method), rtol=1e-12, atol=1e-12)
-
-
 # ---------------------------------------------------------------- planted targets
 
 
@@ -158,14 +78,6 @@ def test_a_planted_target_is_found_at_its_place(method: str, tail: tuple[int, ..
     assert (match.x, match.y, match.width, match.height) == (47, 31, 40, 30)
     assert match.score == score[31, 47]
     assert match.centre_px == (66.5, 45.5)
-
-
-@every_method
-@pytest.mark.parametrize("kind", [np.uint8, np.uint16])
-def test_an_exact_copy_scores_exactly(method: str, kind: type) -> None:
-    image: Array = scene().astype(kind)
-    score = similarity(image, image[10:50, 20:70], method)
-    assert score[10, 20] == (1.0 if METHODS[method].higher_is_better else 0.0)
 
 
 @every_method
@@ -253,132 +165,303 @@ def test_default_thresholds_by_hand() -> None:
     assert default_threshold(image, template, "sed") == (2 / 8) ** 2
 
 
-# ---------------------------------------------------------------- light
+# ---------------------------------------------------------------- thresholds
 
 
-def test_zncc_ignores_gain_and_offset_ncc_gain_and_ssd_neither() -> None:
-    image = scene().astype(np.uint16)
-    template = image[31:61, 47:87].copy()
-    for kind in (np.uint16, np.float64):
-        bright, brighter = (3 * image).astype(kind), (3 * image + 40).astype(kind)
-        plain = {method: similarity(image, template, method) for method in METHODS}
-        np.testing.assert_allclose(similarity(brighter, template, "zncc"), plain["zncc"], atol=1e-9)
-        np.testing.assert_allclose(similarity(bright, template, "ncc"), plain["ncc"], atol=1e-9)
-        assert np.abs(similarity(brighter, template, "ncc") - plain["ncc"]).max() > 0.01
-        assert similarity(image + 40, template, "ssd")[31, 47] == 1600
-        assert similarity(image + 40, template, "sad")[31, 47] == 40
-        assert find(image + 100, template, "ssd") == []
+def test_otsu_by_hand() -> None:
+    """Between the two groups, whatever the direction."""
+    image = np.array([[0, 1, 9, 10, 10, 11, 1]])
+    assert 1 <= score_threshold(image, "sad", "otsu") < 9
+    assert {match.x for match in find(image, [[0]], "sad", "otsu", rule="nms")} == {0, 1, 6}
+    assert {tuple(p) for p in optima(image / 11, "ncc", score_threshold(image / 11, "ncc", "otsu"), "nms")} == {
+        (0, 2), (0, 3), (0, 4), (0, 5)}  # fmt: skip
 
 
-def test_zncc_ignores_an_offset_of_one_channel() -> None:
-    image = scene((60, 70, 3)).astype(np.uint16)
-    template = image[10:40, 20:50]
-    tinted = image + np.array([0, 25, 60], np.uint16)
-    np.testing.assert_allclose(similarity(tinted, template, "zncc"), similarity(image, template, "zncc"), atol=1e-9)
+def test_mad_by_hand() -> None:
+    """Deviations 2 1 0 1 2, their median 1; of 0 0 0 0 10 the median is 0, the mean 2."""
+    assert score_threshold([8, 9, 10, 11, 12], "sad", "mad") == pytest.approx(10 - 5 * 1.4826)
+    assert score_threshold([8, 9, 10, 11, 12], "zncc", "mad") == pytest.approx(10 + 5 * 1.4826)
+    assert score_threshold([0, 0, 0, 0, 10], "zncc", "mad") == pytest.approx(5 * 1.2533 * 2)
+    assert score_threshold([8, 9, np.inf, 10, 11, 12], "sad", "mad") == pytest.approx(10 - 5 * 1.4826)
 
 
-def test_sed_finds_the_target_at_half_the_light() -> None:
+@pytest.mark.parametrize("rule", ["otsu", "mad"])
+def test_a_constant_similarity_image_has_no_threshold(rule: str) -> None:
+    for score in ([[3, 3]], [[np.inf, 2.0]], [[np.inf]], [[1, 1 - 2e-16, 1]]):  # the last is rounding
+        assert np.isnan(score_threshold(score, "zncc", rule))
+    ramp = np.add.outer(3.3 * np.arange(20), 1.7 * np.arange(30))
+    assert find(ramp, ramp[3:9, 4:11], "zncc", rule) == []
+
+
+@pytest.mark.parametrize("threshold", [0, 2, 0.5, np.float32(0.5), np.int64(1)])
+def test_a_number_is_the_threshold(threshold: Any) -> None:
+    limit = score_threshold([], "ssd", threshold)
+    assert limit == threshold and type(limit) is float
+
+
+@every_method
+def test_mad_finds_the_planted_target_in_noise(method: str) -> None:
+    noise = np.random.default_rng(3).integers(0, 256, (90, 120))
+    image = noise.astype(np.uint8)
+    image[30:50, 40:64] = robot()
+    match = find(image, robot(), method, threshold="mad")[0]
+    assert (match.x, match.y) == (40, 30)
+
+
+# ---------------------------------------------------------------- optima
+
+
+def naive_components(score: Array, higher: bool, limit: float) -> list[tuple[int, int]]:
+    """Flood every component in turn, and keep its best place."""
+    accepted = score >= limit if higher else score <= limit
+    left = {(int(r), int(c)) for r, c in np.argwhere(accepted)}
+    found = []
+    while left:
+        front, component = [left.pop()], []
+        while front:
+            r, c = front.pop()
+            component.append((-score[r, c] if higher else score[r, c], r, c))
+            near = {(r + i, c + j) for i in (-1, 0, 1) for j in (-1, 0, 1)} & left
+            left -= near
+            front += near
+        found.append(min(component))
+    return [(r, c) for _, r, c in sorted(found)]
+
+
+def naive_suppression(score: Array, higher: bool, limit: float, size: tuple[int, int]) -> list[tuple[int, int]]:
+    """Best first: keep an accepted place if it is the best around and no equal one around was kept."""
+    cost = -score if higher else score
+    order = sorted((cost[r, c], r, c) for r, c in np.ndindex(*score.shape))
+    kept: list[tuple[int, int]] = []
+    for value, r, c in order:
+        around = cost[max(r - size[0] // 2, 0) : r + size[0] // 2 + 1, max(c - size[1] // 2, 0) : c + size[1] // 2 + 1]
+        near = [k for k in kept if abs(k[0] - r) <= size[0] // 2 and abs(k[1] - c) <= size[1] // 2]
+        if (score[r, c] >= limit if higher else score[r, c] <= limit) and value == around.min() and not near:
+            kept.append((r, c))
+    return kept
+
+
+@pytest.mark.parametrize("method", ["sad", "zncc"])
+@settings(max_examples=150, deadline=None)
+@given(
+    score=hnp.arrays(np.float64, st.tuples(st.integers(1, 9), st.integers(1, 9)),
+                     elements=st.sampled_from([0.0, 0.25, 0.5, 0.75, 1.0])),
+    limit=st.sampled_from([0.0, 0.3, 0.5, 1.0]),
+    size=st.tuples(st.integers(1, 6), st.integers(1, 6)),
+    max_count=st.none() | st.integers(1, 5),
+)  # fmt: skip
+def test_optima_equal_the_naive_loops(
+    method: str, score: Array, limit: float, size: tuple[int, int], max_count: int | None
+) -> None:
+    higher = method == "zncc"
+    components = optima(score, method, limit, max_count=max_count)
+    assert [tuple(p) for p in components] == naive_components(score, higher, limit)[:max_count]
+    suppressed = optima(score, method, limit, "nms", size=size, max_count=max_count)
+    assert [tuple(p) for p in suppressed] == naive_suppression(score, higher, limit, size)[:max_count]
+    assert components.shape[1:] == suppressed.shape[1:] == (2,)
+
+
+def test_nothing_accepted_nothing_found() -> None:
+    for rule in ("components", "nms"):
+        assert optima([[3.0, 4.0]], "sad", 2, rule).shape == (0, 2)
+        assert optima([[3.0, 4.0]], "sad", np.nan, rule).shape == (0, 2)
+
+
+def test_touching_objects_count_once_by_components_and_twice_by_nms() -> None:
+    image = np.array([[9, 0, 1, 0, 9]])
+    assert [match.x for match in find(image, [[0]], "sad", 1)] == [1]
+    assert [match.x for match in find(image, [[0]], "sad", 1, rule="nms")] == [1, 3, 2]  # 1 px reaches 0 px
+    score = [[9, 0, 1, 0, 9]]
+    assert optima(score, "sad", 1, "nms", size=(1, 2))[:, 1].tolist() == [1, 3]
+    assert optima(score, "sad", 1, "nms", size=(1, 4))[:, 1].tolist() == [1]
+
+
+@every_method
+@pytest.mark.parametrize("rule", ["components", "nms"])
+def test_at_most_so_many_and_those_are_the_best(method: str, rule: str) -> None:
+    image = floor_with_robots((80, 60), (10, 10), (50, 10))
+    image[15:18, 20:24] = 90
+    every = find(image, robot(), method, rule=rule)
+    assert len(every) >= 3
+    for count in (1, np.int64(2), 100):
+        assert find(image, robot(), method, rule=rule, max_count=count) == every[:count]
+
+
+# ---------------------------------------------------------------- below the pixel
+
+
+def test_refine_by_hand() -> None:
+    """A parabola's vertex, and no step further than half a pixel, at a border or on a plateau."""
+    x, y = np.arange(7.0), np.arange(5.0)[:, None]
+    bowl = (x - 3.3) ** 2 + 2 * (y - 1.8) ** 2
+    np.testing.assert_allclose(refine(bowl, [[2, 3]]), [[1.8, 3.3]], atol=1e-12)
+    np.testing.assert_allclose(refine(-bowl, [[2, 3]]), [[1.8, 3.3]], atol=1e-12)
+    np.testing.assert_array_equal(refine(bowl, [[0, 0], [4, 6]]), [[0, 0], [4, 6]])
+    np.testing.assert_array_equal(refine(np.ones((3, 3)), [[1, 1]]), [[1, 1]])
+    np.testing.assert_array_equal(refine([[9, 1, np.inf]], [[0, 1]]), [[0, 1]])
+    np.testing.assert_array_equal(refine([[5, 4, 2]], [[0, 1]]), [[0, 0.5]])
+    assert refine(bowl, np.empty((0, 2), int)).shape == refine(bowl, []).shape == (0, 2)
+
+
+@settings(max_examples=60, deadline=None)
+@given(hnp.arrays(np.float64, (4, 5), elements=st.integers(0, 5).map(float)))
+def test_refined_optima_stay_within_half_a_pixel(score: Array) -> None:
+    places = optima(score, "sad", 5, "nms", size=(3, 3))
+    assert np.abs(refine(score, places) - places).max() <= 0.5
+
+
+def waves(x: Any, y: Any) -> Array:
+    """A smooth picture that is known between the pixels."""
+    return np.asarray(128 + 45 * np.sin(x / 3.1 + 0.4 * np.cos(y / 5)) + 45 * np.cos(y / 3.7 - 0.5 * np.sin(x / 4.3)))
+
+
+@pytest.mark.parametrize("method, bound", [("ssd", 0.04), ("sad", 0.12), ("ncc", 0.04), ("zncc", 0.04)])
+def test_a_known_shift_is_found_to_a_fraction_of_a_pixel(method: str, bound: float) -> None:
+    y, x = np.mgrid[:60, :70].astype(float)
+    ty, tx = np.mgrid[:21, :24].astype(float)
+    for dx, dy in [(0.0, 0.0), (0.25, -0.4), (-0.3, 0.45), (0.1, 0.2)]:
+        template = waves(tx + 27 + dx, ty + 19 + dy)
+        for f, t in (
+            (waves(x, y), template),
+            (waves(x, y).round().astype(np.uint8), template.round().astype(np.uint8)),
+        ):
+            match = find(f, t, method, subpixel=True)[0]
+            assert abs(match.x - 27 - dx) < bound and abs(match.y - 19 - dy) < bound
+            whole = find(f, t, method)[0]
+            assert (whole.x, whole.y) == (27, 19) and match.score == whole.score
+
+
+def test_an_edge_distance_is_refined_by_half_a_pixel_at_most() -> None:
+    matches = find(floor_with_robots((40, 30)), robot(), "sed", subpixel=True)
+    assert abs(matches[0].x - 40) <= 0.5 and abs(matches[0].y - 30) <= 0.5
+
+
+# ---------------------------------------------------------------- matches and measures side by side
+
+
+def test_corners_by_hand() -> None:
+    """Turned by 90 degrees counter-clockwise as seen, the top-left corner is at the bottom left."""
+    match = Match(10, 20, 0.0, 4, 2)
+    assert match.centre_px == (11.5, 20.5)
+    np.testing.assert_allclose(match.corners_px, [[9.5, 19.5], [13.5, 19.5], [13.5, 21.5], [9.5, 21.5]])
+    turned = Match(10, 20, 0.0, 4, 2, angle=90)
+    np.testing.assert_allclose(turned.corners_px, [[10.5, 22.5], [10.5, 18.5], [12.5, 18.5], [12.5, 22.5]])
+
+
+@pytest.mark.parametrize("masked", [False, True])
+@pytest.mark.parametrize("rule", ["components", "nms"])
+def test_compare_is_similarity_and_find_of_every_measure(rule: str, masked: bool) -> None:
+    image = floor_with_robots((12, 50), (70, 20))
+    mask = np.random.default_rng(1).random((20, 24)) < 0.7 if masked else None
+    results = compare(image, robot(), mask=mask, rule=rule, max_count=2)
+    assert list(results) == list(METHODS)
+    for name, result in results.items():
+        assert result.method is METHODS[name] and result.seconds > 0
+        np.testing.assert_array_equal(result.score, similarity(image, robot(), name, mask))
+        assert result.matches == find(image, robot(), name, mask=mask, rule=rule, max_count=2)
+        assert result.threshold == default_threshold(image, robot(), name, mask)
+    assert list(compare(image, robot(), ["zncc", "ssd"])) == ["zncc", "ssd"]
+    for rule_of_scores in ("otsu", "mad"):
+        result = compare(image, robot(), ["sad"], threshold=rule_of_scores)["sad"]
+        assert result.threshold == score_threshold(result.score, "sad", rule_of_scores)
+        assert result.matches == find(image, robot(), "sad", rule_of_scores)
+
+
+# ---------------------------------------------------------------- a measure of one's own
+
+
+@pytest.fixture(autouse=True)
+def built_in_measures_only() -> Iterator[None]:
+    yield
+    for name in [name for name in METHODS if name not in measures.BUILT_IN]:
+        del METHODS[name]
+
+
+@pytest.fixture
+def extreme() -> str:
+    @matcher("extreme", higher_is_better=False, default_threshold=lambda f, t, m: 25.0, bounds=(0, np.inf))
+    def largest(image: Array, template: Array, mask: Array) -> Array:
+        """Largest absolute difference.
+
+        More than one line.
+        """
+        windows = np.lib.stride_tricks.sliding_window_view(image, template.shape[:2], axis=(0, 1))
+        difference = np.abs(np.moveaxis(windows, 2, -1).astype(float) - template)[:, :, mask > 0]
+        return np.asarray(difference.max(axis=(2, 3)).astype(np.float32))
+
+    return "extreme"
+
+
+def test_a_measure_of_ones_own_joins_all_the_others(extreme: str) -> None:
+    image = floor_with_robots((12, 50), (70, 20))
+    assert list(METHODS)[-1] == extreme and METHODS[extreme].description == "Largest absolute difference."
+    score = similarity(image, robot(), extreme)
+    assert score.dtype == np.float64 and score.shape == (71, 97) and score[50, 12] == 0
+    places = [(12, 50), (70, 20)]
+    expected = sorted(places, key=lambda place: place[::-1])
+    assert [(match.x, match.y) for match in find(image, robot(), extreme)] == expected
+    assert [(match.x, match.y) for match in find(image, robot(), extreme, pyramid=2)] == expected
+    assert [(match.x, match.y) for match in compare(image, robot())[extreme].matches] == expected
+    assert default_threshold(image, robot(), extreme) == 25
+    with pytest.raises(ValueError, match="threshold: expected 0 to inf for extreme, got -1"):
+        find(image, robot(), extreme, -1)
+    np.testing.assert_array_equal(reference_similarity(image, robot(), extreme), score)
+
+
+def test_a_measure_of_ones_own_by_default_takes_the_threshold_mad(extreme: str) -> None:
+    @matcher("own", higher_is_better=True, description="minus the largest")
+    def own(image: Array, template: Array, mask: Array) -> Array:
+        return -METHODS[extreme].score(image, template, mask)
+
+    image = floor_with_robots((12, 50))
+    score = similarity(image, robot(), "own")
+    assert METHODS["own"].description == "minus the largest"
+    assert default_threshold(image, robot(), "own") == score_threshold(score, "own", "mad")
+    assert [(match.x, match.y) for match in find(image, robot(), "own", -25)] == [(12, 50)]
+    assert find(image, robot(), "own") == find(image, robot(), "own", "mad")
+    assert own(np.zeros((3, 3, 1)), np.zeros((1, 1, 1)), np.ones((1, 1), bool)).shape == (3, 3)  # still the function
+
+    matcher("own", higher_is_better=False, default_threshold="otsu")(METHODS[extreme].score)  # once more, another
+    assert not METHODS["own"].higher_is_better
+    assert compare(image, robot(), ["own"])["own"].threshold == score_threshold(-score, "own", "otsu")
+
+
+def test_own_measures_search_turned_templates_without_the_pyramid(extreme: str) -> None:
+    """Nothing is known of what they do with a smaller picture."""
     image = scene()
-    match = find(image // 2, image[31:61, 47:87], "sed")[0]
-    assert (match.x, match.y) == (47, 31)
+    image[40:80, 60:90] = np.rot90(image[:30, :40])
+    full = find(image, image[:30, :40], extreme, angles=(0, 90), subpixel=True)
+    assert [match.angle for match in full] == [0, 90]
+    assert find(image, image[:30, :40], extreme, angles=(0, 90), subpixel=True, pyramid=2) == full
 
 
-def test_sed_edges_of_the_image_may_be_fainter_than_the_template_s() -> None:
-    image = np.full((60, 70), 100, np.uint8)
-    image[20:35, 30:50] = 140
-    score = similarity(image // 2, image[15:40, 25:55], "sed")
-    assert score[15, 25] == 0 and score.max() > 0
+@pytest.mark.parametrize(
+    "wrong", [np.zeros((2, 2)), np.zeros((4, 5, 1)), np.full((4, 5), np.nan), np.full((4, 5), np.inf), None, 0.0]
+)
+def test_scores_of_ones_own_are_checked(wrong: Any) -> None:
+    matcher("wrong", higher_is_better=False)(lambda image, template, mask: wrong)
+    with pytest.raises(ValueError, match=r"^wrong: expected \(4, 5\) finite scores, got \(.*$"):
+        similarity(IMAGE, np.ones((2, 2)), "wrong")
 
 
-def test_zncc_of_a_negative_is_minus_one() -> None:
-    image = scene()
-    assert similarity(255 - image, image[31:61, 47:87], "zncc")[31, 47] == pytest.approx(-1, abs=1e-12)
+@pytest.mark.parametrize("name", ["ssd", "sed", "", None, 3])
+def test_names_of_ones_own(name: Any) -> None:
+    with pytest.raises(ValueError, match="name: expected a name that no built-in measure has, got"):
+        matcher(name, higher_is_better=False)
 
 
-# ---------------------------------------------------------------- nothing to compare
-
-
-@every_method
-@pytest.mark.parametrize("kind", [np.uint8, np.uint16, np.float32, np.float64])
-@pytest.mark.parametrize("image_value, template_value", [(0, 0), (0, 9), (9, 0), (9, 9), (200, None), (None, 200)])
-def test_flat_and_black_stay_finite(method: str, kind: type, image_value: Any, template_value: Any) -> None:
-    image: Array = (scene((30, 40)) if image_value is None else np.full((30, 40), image_value)).astype(kind)
-    template: Array = (scene((12, 15)) if template_value is None else np.full((12, 15), template_value)).astype(kind)
-    if np.issubdtype(kind, np.floating):
-        image, template = image / kind(10), template / kind(10)  # 0.1 is no binary fraction: sums round
-    score = similarity(image, template, method)
-    assert np.isfinite(score).all()
-    if method == "zncc":
-        assert (score == 0).all()
-    if method == "ncc" and 0 in (image_value, template_value):
-        assert (score == 0).all()
-    if method == "sed":
-        assert (score == 30**2 + 40**2).all()
-    find(image, template, method)
-
-
-def test_flat_windows_of_a_textured_picture_score_zero() -> None:
-    for image, template in [(scene((60, 60)), scene((12, 12), 5)), (scene((60, 60)) / 255, scene((12, 12), 5) / 255)]:
-        image[20:50, 20:50] = image[0, 0]
-        score = similarity(image, template, "zncc")
-        assert (score[20:39, 20:39] == 0).all() and np.abs(score).max() > 0.1
-
-
-@every_method
-def test_constant_similarity_images_give_no_otsu_match(method: str) -> None:
-    assert find(np.zeros((20, 20), np.uint8), np.zeros((9, 9), np.uint8), method, threshold="otsu") == []
-
-
-@every_method
-def test_template_as_large_as_the_image(method: str) -> None:
-    image = scene((40, 50))
-    score = similarity(image, image, method)
-    assert score.shape == (1, 1)
-    assert score[0, 0] == (1.0 if METHODS[method].higher_is_better else 0.0)
-    assert [(match.x, match.y) for match in find(image, image, method)] == [(0, 0)]
-
-
-@every_method
-def test_one_pixel_templates_and_images(method: str) -> None:
-    assert np.isfinite(similarity(scene((20, 20)), [[50]], method)).all()
-    assert np.isfinite(similarity([[3.5]], [[-2.5]], method)).all()
-    assert np.isfinite(similarity([[1e99, 0, -1e99]], [[1e-99, 0]], method)).all()
-
-
-@settings(max_examples=40, deadline=None)
-@given(pairs("float"))
-def test_bounds(pair: tuple[Array, Array, Array | None]) -> None:
-    image, template, mask = pair
-    for method in METHODS:
-        score = similarity(image, template, method, mask)
-        low, high = (-1, 1) if METHODS[method].higher_is_better else (0, np.inf)
-        assert (score >= low).all() and (score <= high).all()
-
-
-@pytest.mark.parametrize("method", [name for name in METHODS if name != "sed"])
-def test_what_the_mask_hides_does_not_count(method: str) -> None:
-    """Rubbish under the mask changes nothing (``sed`` excepted: edges need their surroundings)."""
-    image = scene((40, 40)) / 255
-    template = image[5:20, 5:20].copy()
-    mask = np.ones(template.shape, bool)
-    mask[3:6, 2:9] = False
-    rubbish = np.where(mask, template, 1e30)
-    np.testing.assert_allclose(similarity(image, rubbish, method, mask), similarity(image, template, method, mask))
-
-
-@every_method
-def test_inputs_stay_unchanged(method: str) -> None:
-    for kind in (np.uint8, np.float64):
-        image = scene((40, 50)).astype(kind)
-        template, mask = image[5:25, 5:25].copy(), np.ones((20, 20), bool)
-        mask[0] = False
-        before = [array.copy() for array in (image, template, mask)]
-        for array in (image, template, mask):
-            array.flags.writeable = False
-        find(image, template, method, mask=mask)
-        reference_similarity(image[:22, :22], template, method, mask)
-        for array, copy in zip((image, template, mask), before, strict=True):
-            np.testing.assert_array_equal(array, copy)
+def test_a_method_survives_the_way_to_another_process(extreme: str) -> None:
+    image = floor_with_robots((12, 50))
+    script = "import pickle, sys; f, t, m, method = pickle.load(sys.stdin.buffer); sys.stdout.buffer.write(pickle.dumps(method.score(f, t, m)))"
+    arrays = image[:, :, None], robot()[:, :, None], np.ones((20, 24), bool)
+    for method in METHODS.values():
+        copy = cloudpickle.loads(cloudpickle.dumps(method))
+        assert (copy.name, copy.bounds, copy.higher_is_better) == (method.name, method.bounds, method.higher_is_better)
+        prepared, [pair] = copy.prepare(arrays[0], [arrays[1:]])
+        np.testing.assert_array_equal(copy.score(prepared, *pair), similarity(image, robot(), method.name))
+    sent = cloudpickle.dumps((*arrays, METHODS[extreme]))
+    there = subprocess.run([sys.executable, "-c", script], input=sent, capture_output=True, check=True)
+    np.testing.assert_array_equal(pickle.loads(there.stdout), similarity(image, robot(), extreme))
 
 
 # ---------------------------------------------------------------- wrong arguments
@@ -415,8 +498,9 @@ IMAGE = np.arange(30.0).reshape(5, 6)
 )
 @pytest.mark.parametrize("function", [similarity, reference_similarity, find, default_threshold])
 def test_wrong_arguments(function: Any, arguments: dict[str, Any], message: str) -> None:
-    with pytest.raises(ValueError, match=message):
+    with pytest.raises(ValueError, match=message) as caught:
         function(**{"image": IMAGE, "template": np.array([[1.0, 2.0], [3.0, 5.0]]), **arguments})
+    assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize("threshold", [np.nan, np.inf, True, "triangle", [1], 1j])
@@ -436,10 +520,47 @@ def test_threshold_no_correlation_can_reach() -> None:
         find(IMAGE, IMAGE[:2, :2], "zncc", 1.5)
 
 
-def test_a_method_of_ones_own(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The table is the only place that knows the methods."""
-    ssd = METHODS["ssd"]
-    own = matching.Method("mine", "twice the ssd", False, lambda *a: 2 * ssd.score(*a), ssd.reference, lambda *a: 1.0)
-    monkeypatch.setitem(METHODS, "mine", own)
-    image = scene()
-    assert find(image, image[30:50, 40:60], "mine") == [Match(40, 30, 0.0, 20, 20)]
+@pytest.mark.parametrize(
+    "options, message",
+    [
+        ({"rule": "peaks"}, "rule: expected one of components, nms, got 'peaks'"),
+        *(
+            ({"max_count": count}, "max_count: expected a whole number >= 1 or None, got")
+            for count in (0, -1, 1.5, True, "2")
+        ),
+        *(
+            ({"pyramid": levels}, "pyramid: expected a whole number from 0 to 8, got")
+            for levels in (-1, 9, 1.0, True, None)
+        ),
+        *(
+            ({"angles": a}, "angles: expected one or more finite numbers, got")
+            for a in ([], [np.nan], "a", [[1]], [True])
+        ),
+        *(({"scales": s}, "scales: expected one or more finite numbers, got") for s in ([], [np.inf], None, [1j])),
+        ({"scales": [1, 0]}, "scales: expected numbers > 0, got 0"),
+        ({"scales": [-2]}, "scales: expected numbers > 0, got -2"),
+        ({"scales": [9]}, r"scales: expected a scaled template that fits the image \(5, 6\), got up to 18 px"),
+    ],
+)
+def test_wrong_options(options: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message) as caught:
+        find(IMAGE, IMAGE[:2, :2], "ssd", **options)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("score", [[], [[]], [1.0, 2.0], np.zeros((2, 2, 2))])
+def test_optima_want_a_similarity_image(score: Any) -> None:
+    with pytest.raises(ValueError, match="score: expected a similarity image"):
+        optima(score, "sad", 1)
+
+
+def test_compare_refuses_what_its_parts_refuse() -> None:
+    for options, message in [
+        ({"methods": ["ssd", "sift"]}, "method: expected one of ssd, sad, ncc, zncc, sed, got 'sift'"),
+        ({"threshold": 7}, "threshold: expected -1 to 1 for ncc, got 7"),
+        ({"rule": "x"}, "rule: expected"),
+        ({"max_count": 0}, "max_count: expected"),
+        ({"mask": np.zeros((2, 2))}, "mask: expected"),
+    ]:
+        with pytest.raises(ValueError, match=message):
+            compare(IMAGE, IMAGE[:2, :2], **options)  # type: ignore[arg-type]

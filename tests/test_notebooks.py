@@ -51,8 +51,9 @@ def test_parameters(notebook: Path) -> None:
 def test_code_cells_are_short_and_define_nothing(notebook: Path) -> None:
     for cell in cells(notebook, "code"):
         assert len(cell["text"].splitlines()) <= 15, cell["text"]
-        nodes = list(ast.walk(ast.parse(cell["text"])))
-        assert not any(isinstance(node, ast.FunctionDef | ast.ClassDef) for node in nodes), cell["text"]
+        for node in ast.walk(ast.parse(cell["text"])):
+            if isinstance(node, ast.FunctionDef | ast.ClassDef):  # a matcher of the reader's own is the exception
+                assert any("matching.matcher(" in ast.unparse(line) for line in node.decorator_list), cell["text"]
         assert not re.search(r"(^|[\"'(\s])(/work|/home|/tmp|/root|[A-Z]:\\)", cell["text"]), cell["text"]
 
 

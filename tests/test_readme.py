@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -39,3 +40,21 @@ def test_links_lead_somewhere() -> None:
     links = [link for link in re.findall(r"\]\(([^)#]+)\)", README) if "://" not in link]
     assert len(links) > 20
     assert [link for link in links if not (root / link).exists()] == []
+
+
+def test_coins_are_found_and_a_matcher_joins_as_the_readme_says(capsys: pytest.CaptureFixture[str]) -> None:
+    from occlib.matching import METHODS, reference_similarity, similarity
+
+    (code,) = (text for text in PYTHON if "@matcher" in text)
+    names: dict[str, Any] = {}
+    try:
+        exec(compile(code, "README.md", "exec"), names)
+        image, template = np.random.default_rng(0).integers(0, 256, (2, 20, 30)).astype(np.uint8)
+        score = similarity(image, template[:5, :6], "largest")
+        assert score[3, 4] == np.abs(image[3:8, 4:10].astype(int) - template[:5, :6]).max()
+        assert reference_similarity(image, template[:5, :6], "largest")[3, 4] == score[3, 4]
+    finally:
+        METHODS.pop("largest", None)
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0] == "[249.5 134.5] 0.0 1.0 1.0"  # an exact copy of itself
+    assert len(lines) > 1

@@ -280,7 +280,7 @@ def test_a_perfect_and_an_absurd_matcher(monkeypatch):
 
 
 def test_batches_and_keys():
-    for preset, count in (("fast", 6), ("default", 6 * 10), ("full", 60 * 10)):
+    for preset, count in (("fast", 6), ("default", 6 * 10), ("full", 36 * 10)):
         assert len(study.batches(preset)) == count
     work = study.batches()
     keys = [batch.key for batch in work]
