@@ -13,7 +13,7 @@ import numpy.typing as npt
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import LogLocator, NullLocator
+from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
 
 from occlib.conditions import CONDITIONS
 from occlib.geometry import Image
@@ -71,7 +71,7 @@ def comparison_figure(image: Image, template: Image, results: Mapping[str, Compa
     for line, (name, result) in zip(axes[:, 1:].T, results.items(), strict=True):
         best = "high is alike" if result.method.higher_is_better else "low is alike"
         cmap = "viridis" if result.method.higher_is_better else "viridis_r"
-        shown = show_similarity(line[0], result.score, image.shape, f"{name}: {result.method.description}", cmap=cmap)
+        shown = show_similarity(line[0], result.score, image.shape, f"{name}\n{result.method.description}", cmap=cmap)
         line[0].title.set(fontsize=8)
         fig.colorbar(shown, ax=line[0], shrink=0.6).ax.tick_params(labelsize=7)
         score_histogram(line[1], result.score, result.threshold, higher_is_better=result.method.higher_is_better)
@@ -92,6 +92,7 @@ def score_histogram(
     ax.stairs(counts, edges, fill=True, color="0.35")
     ax.set(yscale="log", ylim=(0.7, None), xlim=(edges[0], edges[-1]))
     ax.tick_params(labelsize=7)
+    ax.xaxis.set_major_locator(MaxNLocator(4))
     if np.isfinite(threshold):
         end = edges[-1] if higher_is_better else edges[0]
         ax.axvspan(float(np.clip(threshold, edges[0], edges[-1])), end, color=ACCEPTED, alpha=0.25, linewidth=0)

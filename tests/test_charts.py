@@ -58,7 +58,7 @@ def test_comparison_figure_has_a_column_a_measure(compared):
     assert np.array_equal(axes[1, 0].images[0].get_array(), image)
     assert axes[0, 0].get_title() == "template\n12 x 12 px"
     for column, name in ((1, "ssd"), (2, "zncc")):
-        assert axes[0, column].get_title().startswith(f"{name}: ")
+        assert axes[0, column].get_title().startswith(f"{name}\n")
         assert axes[2, column].get_title() == "1 match"
         assert np.array_equal(axes[2, column].images[0].get_array(), image)
     assert axes[1, 1].get_xlabel() == "score, low is alike" and axes[1, 2].get_xlabel() == "score, high is alike"
