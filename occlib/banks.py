@@ -145,9 +145,11 @@ class Bank:
                 near = cv2.dilate(won.astype(np.uint8), np.ones((3, 3), np.uint8))
                 wanted[number] = _tiles_of(near, done[number].shape) & ~done[number]
 
-    def complete(self, cost: FloatArray, which: Array, places: Array) -> None:
+    def complete(self, cost: FloatArray, which: Array, places: Array, levels: int) -> None:
         """Let every template compete for the neighbours of these places too, between which the vertex is sought."""
         for number, warp in enumerate(self.warps):
+            if _coarse_step(self.measure, warp, levels) == 1:
+                continue  # it has everywhere
             h, w = warp.mask.shape
             rows, columns = self._part(warp)
             if len(places) * (h + 2) * (w + 2) > self.image[:, :, 0].size:

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from occlib.trials import Trial
 
 ACCEPTED = "#D55E00"
+MOST_DRAWN = 100
 STYLES = {
     "ssd": ("#000000", "o"),
     "sad": ("#56B4E9", "s"),
@@ -44,21 +45,31 @@ LABELS = {
 
 
 def comparison_table(results: Mapping[str, Comparison]) -> pd.DataFrame:
-    """One row a measure: best score and where (top-left px), threshold, number of matches, time in ms."""
+    """One row a measure: best score and where (top-left px), threshold, number of matches, time in ms.
+
+    Without best place where all scores are equal, as those of a template without contrast or edges.
+    """
     rows = {}
     for name, result in results.items():
-        score = result.score
-        place = score.argmax() if result.method.higher_is_better else score.argmin()
-        y, x = np.unravel_index(place, score.shape)
+        y, x = best_place(result)
+        told = np.ptp(result.score) > 0 or result.score.size == 1
         rows[name] = {
-            "best": score[y, x],
-            "x": int(x),
-            "y": int(y),
+            "best": float(result.score[y, x]) if told else np.nan,
+            "x": x if told else pd.NA,
+            "y": y if told else pd.NA,
             "threshold": result.threshold,
             "matches": len(result.matches),
             "ms": 1e3 * result.seconds,
         }
-    return pd.DataFrame.from_dict(rows, orient="index").rename_axis("method")
+    table = pd.DataFrame.from_dict(rows, orient="index").rename_axis("method")
+    return table.astype({"x": "Int64", "y": "Int64"})
+
+
+def best_place(result: Comparison) -> tuple[int, int]:
+    """Row and column of the best score, the first of equal ones."""
+    place = result.score.argmax() if result.method.higher_is_better else result.score.argmin()
+    y, x = np.unravel_index(place, result.score.shape)
+    return int(y), int(x)
 
 
 def comparison_figure(image: Image, template: Image, results: Mapping[str, Comparison]) -> Figure:
@@ -77,8 +88,11 @@ def comparison_figure(image: Image, template: Image, results: Mapping[str, Compa
         score_histogram(line[1], result.score, result.threshold, higher_is_better=result.method.higher_is_better)
         line[1].set_xlabel(f"score, {best}", fontsize=8)
         count = len(result.matches)
-        show_image(line[2], image, f"{count} match{'' if count == 1 else 'es'}")
-        show_matches(line[2], result.matches[:100], colour=ACCEPTED)
+        drawn = f", best {MOST_DRAWN} drawn" if count > MOST_DRAWN else "" if count else ", best place dashed"
+        show_image(line[2], image, f"{count} match{'' if count == 1 else 'es'}{drawn}")
+        show_matches(line[2], result.matches[:MOST_DRAWN], colour=ACCEPTED)
+        if not count:
+            frame_place(line[2], best_place(result)[::-1], template.shape, linestyle="--")
     axes[1, 1].set_ylabel("places", fontsize=8)
     return fig
 
@@ -90,12 +104,13 @@ def score_histogram(
     values = score[np.isfinite(score)]
     counts, edges = np.histogram(values, bins)
     ax.stairs(counts, edges, fill=True, color="0.35")
-    ax.set(yscale="log", ylim=(0.7, None), xlim=(edges[0], edges[-1]))
+    low, high = min(edges[0], threshold), max(edges[-1], threshold)  # NaN, no threshold, changes neither
+    ax.set(yscale="log", ylim=(0.7, None), xlim=(low - 0.02 * (high - low), high + 0.02 * (high - low)))
+    ax.ticklabel_format(axis="x", useOffset=False)
     ax.tick_params(labelsize=7)
     ax.xaxis.set_major_locator(MaxNLocator(4))
     if np.isfinite(threshold):
-        end = edges[-1] if higher_is_better else edges[0]
-        ax.axvspan(float(np.clip(threshold, edges[0], edges[-1])), end, color=ACCEPTED, alpha=0.25, linewidth=0)
+        ax.axvspan(threshold, ax.get_xlim()[1 if higher_is_better else 0], color=ACCEPTED, alpha=0.25, linewidth=0)
         ax.axvline(threshold, color=ACCEPTED, linewidth=1.2)
         ax.set_title(f"accepted {'above' if higher_is_better else 'below'} {threshold:.4g}", fontsize=8, color=ACCEPTED)
     else:
@@ -311,7 +326,7 @@ def verdict_figure(verdicts: pd.DataFrame) -> Figure:
     good = [[m == row["best"] or m in row["tied"].split(", ") for m in methods] for _, row in rows.iterrows()]
     fig = Figure(figsize=(3.6 + 0.95 * len(methods), 1.3 + 0.36 * len(rows)), layout="constrained")
     left, right = fig.subplots(1, 2, sharey=True, width_ratios=[len(methods), 3])
-    heatmap(left, rows[methods], "area under recall (absent: specificity)\nframed: best, or not told from it",
+    heatmap(left, rows[methods], "area under recall (absent: share of pictures without false alarm)\nframed: best (in brackets), or not told from it",
             marked=pd.DataFrame(good))  # fmt: skip
     left.set_yticks(range(len(rows)), [f"{name} ({row['best']})" for name, row in rows.iterrows()])
     for place, name in enumerate(rows.index):

@@ -57,6 +57,7 @@ def build_parser() -> argparse.ArgumentParser:
     p.add_argument("--out", metavar="camera.yaml", help="write the calibration here")
 
     p = add("compare", "Look for a template in an image with each measure: a table, and a picture.", compare)
+    p.epilog = "x, y: the template's top-left px at the best place. 0 is best for ssd, sad, sed; 1 for ncc, zncc."
     p.add_argument("image", metavar="IMAGE")
     p.add_argument("template", metavar="TEMPLATE", help="a picture no larger than the image")
     p.add_argument("--methods", nargs="+", metavar="NAME", help="ssd, sad, ncc, zncc, sed; all by default")
@@ -69,7 +70,10 @@ def build_parser() -> argparse.ArgumentParser:
     p.add_argument("--json", action="store_true", help="print one JSON object instead of the table")
 
     p = add(
-        "sweep", "Compare the template matching measures under every condition; goes on where it was stopped.", sweep
+        "sweep",
+        "Compare the template matching measures under every condition; goes on where it was stopped. In full it takes "
+        "about RUNTIME minutes on one core.",
+        sweep,
     )
     p.add_argument(
         "--out",
@@ -78,7 +82,7 @@ def build_parser() -> argparse.ArgumentParser:
         help="where the results go, finished batches are kept (runs/sweep)",
     )
     p.add_argument(
-        "--seeds", metavar="START:STOP", help="draws of the targets, as in 0:8; by default 0:12, with --fast 0:2"
+        "--seeds", metavar="START:STOP", help="draws of the targets, as in 0:8 or 5; by default 0:12, with --fast 0:2"
     )
     p.add_argument("--sides", nargs="+", type=int, metavar="PX", help="template sides, 16 to 128; by default 24 48 96")
     p.add_argument("--conditions", nargs="+", metavar="NAME", help="gain, noise, rotation, ...; all by default")
@@ -215,10 +219,15 @@ def compare(args: argparse.Namespace) -> int:
     if args.json:
         rows = json.loads(table.to_json(orient="index"))
         for name, result in results.items():
-            rows[name]["found"] = [[*match.centre_px, match.score] for match in result.matches]
+            rows[name]["found"] = [{"centre_px": match.centre_px, "score": match.score} for match in result.matches]
         print(json.dumps(rows))
     else:
-        print(table.to_string(float_format="{:.4g}".format))
+        text = table.assign(**{name: table[name].astype(object).where(table[name].notna(), "-") for name in ("x", "y")})
+        print(text.to_string(float_format="{:.4g}".format, na_rep="-"))
+        if blank := [str(name) for name in table.index[table["best"].isna()]]:
+            print(
+                f"{', '.join(blank)}: the same score everywhere; the template or the image has no contrast, or no edges"
+            )
         print(f"{args.out}: similarity images, thresholds and matches")
     return 0
 

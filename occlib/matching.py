@@ -381,7 +381,8 @@ def find(
         Move each optimum to the vertex of the parabolas through its neighbours, by at most half a pixel.
     angles, scales
         Turns in degrees, counter-clockwise, and factors. The template is warped by each pair, its corners masked
-        out, and ``S`` becomes the best of all at each place of the template's centre.
+        out, and ``S`` becomes the best of all at each place of the template's centre. What is then larger than the
+        image is left out.
     pyramid
         Search a picture smaller by ``2^pyramid`` first and compute ``S`` only where that leaves hope: worth it
         for many angles and scales, large templates and ``sad``. The matches are those of the full search. 0: off.
@@ -414,7 +415,7 @@ def find(
     score = -cost if measure.higher_is_better else cost
     places = optima(score, method, limit, rule, size=t.shape[:2], max_count=max_count)
     if pyramid and subpixel and len(bank.warps) > 1:
-        bank.complete(cost, which, places)
+        bank.complete(cost, which, places, pyramid)
         score = -cost if measure.higher_is_better else cost
     return [_match(bank, score, int(r), int(c), which[r, c], subpixel, t.shape[:2]) for r, c in places]
 
@@ -442,7 +443,7 @@ def compare(
     """
     f, t, used = _checked(image, template, mask)
     results = {}
-    for name in METHODS if methods is None else methods:
+    for name in METHODS if methods is None else [methods] if isinstance(methods, str) else methods:
         measure = _method(name)
         similarity(f[: t.shape[0], : t.shape[1]], t, name, used)
         started = time.perf_counter()
@@ -500,10 +501,18 @@ def matcher(
 
     def register(function: Callable[..., npt.ArrayLike]) -> Callable[..., npt.ArrayLike]:
         def score(image: Array, template: Array, mask: Array) -> FloatArray:
-            values = np.asarray(function(image, template, mask), dtype=np.float64)
+            try:
+                values = np.asarray(function(image, template, mask), dtype=np.float64)
+            except Exception as error:
+                raise ValueError(f"{name}: {type(error).__name__}: {error}") from error
             shape = image.shape[0] - template.shape[0] + 1, image.shape[1] - template.shape[1] + 1
-            if values.shape != shape or not np.isfinite(values).all():
-                raise ValueError(f"{name}: expected {shape} finite scores, got {values.shape}, some perhaps not finite")
+            if values.shape != shape:
+                raise ValueError(
+                    f"{name}: expected a score for each of {shape} places of a template {template.shape[:2]} in an image "
+                    f"{image.shape[:2]}, got {values.shape}"
+                )
+            if not np.isfinite(values).all():
+                raise ValueError(f"{name}: expected finite scores, got NaN or infinity")
             return values
 
         text = description or (function.__doc__ or name).strip().splitlines()[0]

@@ -45,6 +45,7 @@ from occlib.trials import sources as sources
 
 RULES = ("fixed", "default", "otsu", "mad")
 LIGHT = ("gain", "offset", "gradient")
+LENGTHS = ("rmse_px", "rmse_cm")
 
 # --- work --------------------------------------------------------------------------------------------
 
@@ -208,7 +209,8 @@ def stratified_interval(values: pd.Series[float]) -> tuple[float, float, float]:
 
     The sources are the same on every run and the seeds redraw the targets in them, so what differs between sources
     is no error: the variance is the mean one within sources, and a t-distribution has its degrees of freedom.
-    NaN are left out, and sources with one seed give no ends.
+    NaN are left out. There are no ends where nothing tells how large the variance is: a source has one seed only, or
+    no value differs from the others of its source.
 
     >>> index = pd.MultiIndex.from_product([["a", "b"], [0, 1, 2]], names=["source", "seed"])
     >>> [round(end, 3) for end in stratified_interval(pd.Series([1, 2, 3, 11, 12, 13.0], index))]
@@ -216,11 +218,16 @@ def stratified_interval(values: pd.Series[float]) -> tuple[float, float, float]:
     """
     groups = values.dropna().groupby(level="source")
     mean, freedom = float(groups.mean().mean()), int((groups.size() - 1).sum())
-    if freedom < 1 or (groups.size() < 2).any():
+    variance = groups.apply(lambda group: ((group - group.mean()) ** 2).sum()).sum() / max(freedom, 1)
+    if not variance > 0 or (groups.size() < 2).any():
         return mean, np.nan, np.nan
-    variance = groups.apply(lambda group: ((group - group.mean()) ** 2).sum()).sum() / freedom
     half = float(stats.t.ppf(0.975, freedom) * np.sqrt(variance * (1 / groups.size()).sum()) / len(groups))
     return mean, mean - half, mean + half
+
+
+def _log_interval(values: pd.Series[float]) -> tuple[float, ...]:
+    """As :func:`t_interval` for what is positive and skewed; a length of exactly 0 counts as a thousandth."""
+    return tuple(float(np.exp(end)) for end in t_interval(np.log(values.clip(lower=1e-3))))
 
 
 # --- tables ------------------------------------------------------------------------------------------
@@ -232,8 +239,9 @@ def summarise(table: pd.DataFrame, by: Sequence[str] = BY) -> pd.DataFrame:
     """Accuracy for each group of trials, present targets only, with 95 % intervals.
 
     Columns: ``trials``; ``recall`` (share found at rank 1) with Wilson's interval over the pooled trials, somewhat
-    narrow as trials on one picture are not independent; ``rmse_px`` and ``rmse_cm`` over those found, and the
-    median ``peak_ratio``: means of one value a seed with their t-interval. ``_low`` and ``_high`` are the ends.
+    narrow as trials on one picture are not independent; ``rmse_px`` and ``rmse_cm`` over those found: the geometric
+    mean of one value a seed, and the t-interval of its logarithm; the median ``peak_ratio``: the mean of one value a
+    seed and its t-interval. ``_low`` and ``_high`` are the ends.
     """
     by = list(_columns(table, by))
     here = table[table["present"]]
@@ -248,7 +256,9 @@ def summarise(table: pd.DataFrame, by: Sequence[str] = BY) -> pd.DataFrame:
     per_seed[["rmse_px", "rmse_cm"]] **= 0.5
     groups = per_seed.groupby(level=by, sort=False)
     for name in per_seed:
-        ends = np.array([t_interval(group[name]) for _, group in groups])
+        ends = np.array(
+            [_log_interval(group[name]) if name in LENGTHS else t_interval(group[name]) for _, group in groups]
+        )
         result = result.assign(**{str(name): ends[:, 0], f"{name}_low": ends[:, 1], f"{name}_high": ends[:, 2]})
     return result.reset_index()
 
@@ -374,7 +384,7 @@ def verdicts(table: pd.DataFrame) -> pd.DataFrame:
     One row a condition, then *constant light* and *changing light* (the mean over the conditions without and
     with gain, offset and gradient; ``time`` and ``absent`` left out), then the paper's claim about SSD. Columns:
     ``criterion``; ``best``; ``tied``, the measures whose 95 % interval of the difference to the best, paired by
-    target, contains 0 (all of them with one seed); ``area, low, high`` of the best (:func:`stratified_interval`); one
+    target, contains 0 or cannot be given (all of them with one seed); ``area, low, high`` of the best (:func:`stratified_interval`); one
     column a measure; ``statement``.
 
     The claim's row gives SSD's area at constant light minus that under changing light.
@@ -408,7 +418,7 @@ def _verdict(name: str, values: pd.DataFrame) -> dict[str, Any]:
         difference, low, _ = stratified_interval(values[best] - values[other])
         if not low > 0 or difference == 0:
             tied.append(str(other))
-    area, low, high = stratified_interval(values[best])
+    area, low, high = np.clip(stratified_interval(values[best]), 0, 1)
     rest = [str(m) for m in values.columns if m != best and m not in tied]
     text = f"{best} best" + (f", {', '.join(tied)} not told from it" if tied else "") + (
         f"; {', '.join(rest)} worse" if rest else "; no difference shown")  # fmt: skip

@@ -365,11 +365,36 @@ def test_from_one_hopeful_place_the_whole_component_is_reached(
     if len(angles) == 2:  # and those that the larger canvas just misses
         rows, columns = bank._part(bank.warps[1])
         places = np.vstack([places, [(rows.start - 1, columns.start + 20), (rows.stop, columns.start - 1)]])
-    bank.complete(found, chosen, places)
+    bank.complete(found, chosen, places, 2)
     for r, c in places:
         around = np.s_[max(r - 1, 0) : r + 2, max(c - 1, 0) : c + 2]
         np.testing.assert_allclose(found[around], full[around], rtol=1e-9, atol=1e-12)
         assert (chosen[around] == which[around]).all()
+
+
+@coarse_method
+@pytest.mark.usefixtures("small_tiles")
+def test_a_vertex_between_two_templates_is_that_of_the_full_search(
+    method: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Beside the best place another template is better, though nowhere good enough to be looked for."""
+    image = cv2.GaussianBlur(np.random.default_rng(0).integers(0, 256, (120, 160)).astype(float), (0, 0), 4)
+    image = ((image - image.min()) / np.ptp(image) * 255).astype(np.uint8)
+    half_way = cv2.getRotationMatrix2D((80, 60), 5, 1)
+    template = cv2.warpAffine(image, half_way, (160, 120))[40:81, 60:101]
+    threshold = -1.0 if METHODS[method].higher_is_better else 1e5
+    full = find(image, template, method, threshold, angles=(0, -10), subpixel=True, max_count=1)
+    alone = find(image, template, method, threshold, angles=(full[0].angle,), subpixel=True, max_count=1)
+    assert (full[0].x, full[0].y) != (alone[0].x, alone[0].y)
+    limit = full[0].score
+    found_first = banks._hopeful
+
+    def hopeful(measure: Any, coarse: Array, warp: Any, *rest: Any) -> Array:
+        places = found_first(measure, coarse, warp, *rest)
+        return places if warp.angle == full[0].angle else np.zeros_like(places)
+
+    monkeypatch.setattr(banks, "_hopeful", hopeful)
+    assert find(image, template, method, limit, angles=(0, -10), subpixel=True, pyramid=2) == full
 
 
 @pytest.mark.parametrize("method", ["ssd", "sad", "zncc"])

@@ -65,7 +65,7 @@ def test_comparison_figure_has_a_column_a_measure(compared):
     assert axes[1, 1].get_ylabel() == "places"
 
 
-@pytest.mark.parametrize(("higher", "side", "shaded"), [(False, "below", (0, 3)), (True, "above", (3, 9))])
+@pytest.mark.parametrize(("higher", "side", "shaded"), [(False, "below", (-0.18, 3)), (True, "above", (3, 9.18))])
 def test_score_histogram_counts_places_and_shades_what_is_accepted(ax, higher, side, shaded):
     scores = np.array([[0.0, 1, 1, 4, 9, np.inf]])
     charts.score_histogram(ax, scores, 3.0, higher_is_better=higher, bins=9)
@@ -74,6 +74,26 @@ def test_score_histogram_counts_places_and_shades_what_is_accepted(ax, higher, s
     x = ax.patches[1].get_extents().transformed(ax.transData.inverted())
     assert sorted([x.x0, x.x1]) == pytest.approx(shaded)
     assert ax.get_title() == f"accepted {side} 3" and ax.get_yscale() == "log"
+
+
+def test_score_histogram_reaches_to_a_threshold_that_nothing_reaches(ax):
+    charts.score_histogram(ax, np.array([[5.0, 6, 9]]), 1.0, higher_is_better=False)
+    assert ax.get_xlim() == pytest.approx((1 - 0.16, 9 + 0.16))
+
+
+def test_nothing_found_and_too_much_to_draw(compared):
+    image, template, _ = compared
+    none = matching.compare(image, template[::-1] // 2, ["ssd"], threshold=0)
+    assert none["ssd"].matches == []
+    line = charts.comparison_figure(image, template, none).axes[5]
+    assert line.get_title() == "0 matches, best place dashed"
+    assert line.lines[0].get_linestyle() == "--" and line.lines[0].get_xydata().shape == (5, 2)
+    dots = np.zeros((60, 90), np.uint8)
+    dots[::4, ::4] = 200
+    many = matching.compare(dots, dots[3:6, 3:6], ["ssd"])
+    axes = charts.comparison_figure(dots, dots[3:6, 3:6], many).axes
+    assert len(many["ssd"].matches) > 100
+    assert axes[5].get_title().endswith("matches, best 100 drawn") and len(axes[5].lines) == 200  # frame and cross
 
 
 def test_score_histogram_without_a_threshold(ax):

@@ -703,8 +703,22 @@ def test_compare_as_json_with_a_rule_a_threshold_and_a_mask(
     assert main(["compare", *map(str, pair), *options, "--out", str(tmp_path / "a.png")]) == 0
     rows = json.loads(capsys.readouterr().out)
     assert list(rows) == ["zncc", "ncc"] and rows["zncc"]["threshold"] == 0.99
-    assert [(x, y) for x, y, _ in rows["zncc"]["found"]] == [(41.5, 31.5), (121.5, 91.5)]
-    assert rows["zncc"]["found"][0][2] == 1.0
+    assert [match["centre_px"] for match in rows["zncc"]["found"]] == [[41.5, 31.5], [121.5, 91.5]]
+    assert rows["zncc"]["found"][0]["score"] == 1.0
+
+
+def test_compare_a_template_without_contrast(
+    pair: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    flat = tmp_path / "flat.png"
+    cv2.imwrite(str(flat), np.full((20, 20), 100, np.uint8))
+    options = ["--methods", "sad", "zncc", "sed", "--out", str(tmp_path / "a.png")]
+    assert main(["compare", str(pair[0]), str(flat), *options]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[3].split()[:4] == ["zncc", "-", "-", "-"] and lines[2].split()[1] != "-"
+    assert lines[5].startswith("zncc, sed: the same score everywhere")
+    assert main(["compare", str(pair[0]), str(flat), *options, "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["zncc"]["best"] is None
 
 
 def test_compare_with_a_matcher_of_ones_own(

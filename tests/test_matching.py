@@ -168,6 +168,14 @@ def test_default_thresholds_by_hand() -> None:
 # ---------------------------------------------------------------- thresholds
 
 
+def test_default_thresholds_with_weights_by_hand() -> None:
+    """Weighted: mean 4.8, variance 15.36, mean square 38.4, mean absolute deviation 4.8 around the median 0."""
+    image, template, weights = np.zeros((4, 4)), [[0.0, 0.0, 8.0]], [[1.0, 1.0, 3.0]]
+    assert default_threshold(image, template, "ssd", weights) == pytest.approx(15.36 / 2)
+    assert default_threshold(image, template, "sad", weights) == pytest.approx(4.8 / 2)
+    assert default_threshold(image, template, "ncc", weights) == pytest.approx(np.sqrt(0.8))
+
+
 def test_otsu_by_hand() -> None:
     """Between the two groups, whatever the direction."""
     image = np.array([[0, 1, 9, 10, 10, 11, 1]])

@@ -127,6 +127,13 @@ def test_integer_sums_are_exact_for_large_pictures(dtype: type, top: int, masked
         assert sad[row, column] == np.abs(difference).sum() / mask.sum()
 
 
+def test_integers_beyond_16_bit_and_below_0() -> None:
+    image: Array = np.array([[2**40, 70000, -5, 1]])
+    assert similarity(image, [[70000]], "sad").tolist() == [[2**40 - 70000, 0, 70005, 69999]]
+    np.testing.assert_allclose(similarity(image, [[70000]], "ssd"), (image - 70000.0) ** 2, rtol=1e-15)
+    assert similarity(np.uint8([[3, 200]]), np.int8([[-5]]), "sad").tolist() == [[8, 205]]
+
+
 def test_float_ssd_keeps_its_precision_under_a_large_offset() -> None:
     image = scene() / 64.0  # exact in binary, with or without the offset
     template = image[31:61, 47:87] + 0.25
@@ -142,6 +149,17 @@ def test_ssd_keeps_a_small_difference_beside_huge_values() -> None:
     score = similarity(noisy, pattern[:10, :10])[::1, ::2]
     literal = reference_similarity(noisy, pattern[:10, :10])[::1, ::2]  # about 1, where the sums are about 1e12
     np.testing.assert_allclose(score, literal, rtol=1e-9)
+
+
+@pytest.mark.parametrize("bits", [(8, 8), (32, 20), (20, 34), (26, 26)])
+def test_correlations_of_all_digits_are_exact(bits: tuple[int, int]) -> None:
+    rng = np.random.default_rng(12)
+    image: Array = rng.integers(0, 2 ** bits[0], (40, 50))
+    kernel: Array = rng.integers(-(2 ** bits[1]), 2 ** bits[1], (11, 8))
+    windows = np.lib.stride_tricks.sliding_window_view(image, kernel.shape)
+    for pairs in ([(image, kernel)], [(image, kernel), (image, np.abs(kernel))]):
+        expected = sum((windows * k).sum(axis=(2, 3)) for _, k in pairs)
+        np.testing.assert_array_equal(measures._correlations(pairs)[0], expected)
 
 
 @settings(max_examples=60, deadline=None)
@@ -175,10 +193,10 @@ def test_wide_templates_do_not_overflow_the_sums_of_rows(width: int, masked: boo
                                expected * 257, rtol=1e-15)  # fmt: skip
 
 
-@pytest.mark.parametrize("side, low", [(255, 0), (256, 0), (260, 65500)])
+@pytest.mark.parametrize("side, low", [(255, 0), (260, 65500), (310, 0)])
 @pytest.mark.parametrize("masked", [False, True])
 def test_correlation_of_large_16_bit_templates_is_exact(side: int, low: int, masked: bool) -> None:
-    """Their products of sums pass 64 bit: at 260 px and a faint contrast 1e-9 was lost."""
+    """Their products of sums pass 64 bit at 260 px, where float64 loses faint contrast; their covariance at 310."""
     rng = np.random.default_rng(7)
     image = rng.choice([low, 65535] if low == 0 else np.arange(low, 65536), (side + 2, side + 1)).astype(np.uint16)
     template = image[1 : side + 1, 1:].copy()
@@ -327,6 +345,13 @@ def test_zncc_ignores_an_offset_of_one_channel() -> None:
     image = scene((60, 70, 3)).astype(np.uint16)
     template = image[10:40, 20:50]
     tinted = image + np.array([0, 25, 60], np.uint16)
+    np.testing.assert_allclose(similarity(tinted, template, "zncc"), similarity(image, template, "zncc"), atol=1e-9)
+
+
+def test_zncc_of_floats_ignores_a_large_offset_of_one_channel() -> None:
+    image = scene((60, 70, 3)) / 256
+    template = image[10:40, 20:50]
+    tinted = image + np.array([0, 2.0**20, -(2.0**20)])
     np.testing.assert_allclose(similarity(tinted, template, "zncc"), similarity(image, template, "zncc"), atol=1e-9)
 
 

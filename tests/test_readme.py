@@ -12,6 +12,7 @@ import yaml
 
 from occlib.calibration import Calibration, save_calibration
 from occlib.geometry import Rig
+from occlib.matching import METHODS, find
 
 README = (Path(__file__).resolve().parent.parent / "README.md").read_text(encoding="utf-8")
 PYTHON = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
@@ -42,19 +43,20 @@ def test_links_lead_somewhere() -> None:
     assert [link for link in links if not (root / link).exists()] == []
 
 
-def test_coins_are_found_and_a_matcher_joins_as_the_readme_says(capsys: pytest.CaptureFixture[str]) -> None:
-    from occlib.matching import METHODS, reference_similarity, similarity
-
-    (code,) = (text for text in PYTHON if "@matcher" in text)
-    names: dict[str, Any] = {}
-    try:
-        exec(compile(code, "README.md", "exec"), names)
-        image, template = np.random.default_rng(0).integers(0, 256, (2, 20, 30)).astype(np.uint8)
-        score = similarity(image, template[:5, :6], "largest")
-        assert score[3, 4] == np.abs(image[3:8, 4:10].astype(int) - template[:5, :6]).max()
-        assert reference_similarity(image, template[:5, :6], "largest")[3, 4] == score[3, 4]
-    finally:
-        METHODS.pop("largest", None)
+def test_coins_are_found_as_the_readme_says(capsys: pytest.CaptureFixture[str]) -> None:
+    (code,) = (text for text in PYTHON if "data.coins" in text)
+    exec(compile(code, "README.md", "exec"), {})
     lines = capsys.readouterr().out.splitlines()
-    assert lines[0] == "[249.5 134.5] 0.0 1.0 1.0"  # an exact copy of itself
-    assert len(lines) > 1
+    assert lines[0] == "[270.5 130.5] 0.0 1.0 1.0"  # an exact copy of itself
+    assert len(lines) == 24  # coins in the picture
+
+
+def test_a_matcher_joins_as_the_readme_says() -> None:
+    (code,) = (text for text in PYTHON if "@matching.matcher" in text)
+    image: Any = np.kron(np.random.default_rng(0).integers(0, 256, (20, 30)), np.ones((5, 5))).astype(np.uint8)
+    try:
+        exec(compile(code, "README.md", "exec"), {})
+        (match,) = find(image // 2 + 30, image[20:50, 40:80], "direction", rule="nms", max_count=1)
+    finally:
+        METHODS.pop("direction", None)
+    assert (match.x, match.y) == (40, 20) and match.score > 0.5

@@ -276,7 +276,7 @@ def test_a_perfect_and_an_absurd_matcher(monkeypatch):
     assert rules.loc[("default", "oracle", "absent"), "false_alarms"] == 0
     table["seed"] %= 2
     told = study.verdicts(table).set_index("condition")
-    assert told.loc["offset", "best"] == "oracle" and told.loc["offset", "tied"] == ""
+    assert told.loc["offset", "best"] == "oracle" and np.isnan(told.loc["offset", "low"])  # nothing varies: no interval
 
 
 def test_batches_and_keys():
@@ -377,6 +377,7 @@ def test_stratified_interval_ignores_what_differs_between_sources():
     far = study.stratified_interval(pd.Series([1, 2, 3, 101, 102, 103.0], index))
     half = 2.776445 * np.sqrt(1 * (1 / 3 + 1 / 3)) / 2  # t(4), variance 1
     assert one == pytest.approx((2, 2 - half, 2 + half)) and far == pytest.approx((52, 52 - half, 52 + half))
+    assert np.isnan(study.stratified_interval(pd.Series([1, 1, 1, 2, 2, 2.0], index))[1:]).all()  # nothing varies
     single = study.stratified_interval(pd.Series([1, 2.0], index[[0, 3]]))
     assert single[0] == 1.5 and np.isnan(single[1:]).all()
 
@@ -388,8 +389,16 @@ def test_summary_by_hand():
     row = summary.loc[("noise", 10.0)]
     assert row["trials"] == 3 and row["recall"] == pytest.approx(2 / 3)
     assert (row["recall_low"], row["recall_high"]) == pytest.approx(tuple(map(float, study.wilson_interval(2, 3))))
-    assert row["rmse_px"] == 3 and np.isnan(row["rmse_cm"])
+    assert row["rmse_px"] == pytest.approx(3) and np.isnan(row["rmse_cm"])
     assert row["peak_ratio"] == 2.5 and row["peak_ratio_high"] == pytest.approx(2.5 + 12.7062 * 0.5, rel=1e-4)
+
+
+def test_rmse_intervals_are_those_of_logarithms():
+    table = table_of([(0, 10, 0.0, 9.0), (1, 10, 0.0, 9.0)]).assign(error_px=[1.0, 4.0])
+    row = study.summarise(table).iloc[0]
+    factor = np.exp(12.7062 * np.log(2))  # t(1); the logarithms are log 2 on either side of log 2
+    assert row["rmse_px"] == pytest.approx(2)
+    assert (row["rmse_px_low"], row["rmse_px_high"]) == pytest.approx((2 / factor, 2 * factor), rel=1e-4)
 
 
 def test_fixed_threshold_is_tuned_on_clean_trials_only():

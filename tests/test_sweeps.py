@@ -429,7 +429,9 @@ def test_the_study_with_a_matcher_of_ones_own(
         said = capsys.readouterr()
         assert said.err == ""
         assert re.search(r"noise +\w+ best", said.out)
-        assert said.out.endswith(f"{name}: trials.csv (24 rows), summary.csv, thresholds.csv, verdicts.csv\n")
+        assert said.out.endswith(
+            f"{name}: trials.csv (24 rows), summary.csv, thresholds.csv, verdicts.csv, verdicts.png, recall.png\n"
+        )
         matching.METHODS.pop("mine")
     for file in ("trials.csv", "summary.csv", "thresholds.csv", "verdicts.csv"):
         first, *others = [(tmp_path / name / file).read_bytes() for name in ways]
