@@ -39,23 +39,37 @@ def warps(
     factors = _numbers(scales, "scales")
     if min(factors) <= 0:
         raise ValueError(f"scales: expected numbers > 0, got {min(factors):g}")
-    size = max(factors) * max(template.shape[:2])
-    bank = [_warp(template, mask, angle, scale) for angle in _numbers(angles, "angles") for scale in factors]
-    fitting = [w for w in bank if w.mask.any() and w.mask.shape[0] <= shape[0] and w.mask.shape[1] <= shape[1]]
-    if not fitting:
-        raise ValueError(f"scales: expected a scaled template that fits the image {shape[:2]}, got up to {size:.0f} px")
-    return fitting
+    wanted = [(angle, scale) for angle in _numbers(angles, "angles") for scale in factors]
+    sizes = [_canvas(template.shape, angle, scale) for angle, scale in wanted]
+    small = [scale * min(template.shape[:2]) >= 0.5 for _, scale in wanted]  # px: less has no pixel of its own
+    fits = [rows <= shape[0] and columns <= shape[1] for rows, columns in sizes]
+    bank = [_warp(template, mask, *pair) for pair, *good in zip(wanted, small, fits, strict=True) if all(good)]
+    if not any(warp.mask.any() for warp in bank):
+        raise ValueError(
+            f"scales: expected a template, turned and scaled, with a whole pixel and no larger than the image "
+            f"{shape[:2]}; none of {len(wanted)} is"
+        )
+    return [warp for warp in bank if warp.mask.any()]
+
+
+def _canvas(shape: tuple[int, ...], angle: float, scale: float) -> tuple[int, int]:
+    """Rows and columns that hold the warped template, of its parity, so that the centres fall on one grid."""
+    height, width = shape[:2]
+    if angle % 360 == 0 and scale == 1:
+        return height, width
+    cosine, sine = abs(np.cos(np.deg2rad(angle))) * scale, abs(np.sin(np.deg2rad(angle))) * scale
+    rows, columns = (
+        size + 2 * max(-((size - 1) // 2), int(np.ceil((needed - size) / 2 - 1e-9)))
+        for size, needed in ((height, sine * width + cosine * height), (width, cosine * width + sine * height))
+    )
+    return rows, columns
 
 
 def _warp(template: Array, mask: Array, angle: float, scale: float) -> Warp:
     if angle % 360 == 0 and scale == 1:
         return Warp(angle, scale, template, mask)
     height, width = template.shape[:2]
-    cosine, sine = abs(np.cos(np.deg2rad(angle))) * scale, abs(np.sin(np.deg2rad(angle))) * scale
-    rows, columns = (  # of the same parity as the template's, so that the centres fall on one grid
-        size + 2 * max(-((size - 1) // 2), int(np.ceil((needed - size) / 2 - 1e-9)))
-        for size, needed in ((height, sine * width + cosine * height), (width, cosine * width + sine * height))
-    )
+    rows, columns = _canvas(template.shape, angle, scale)
     matrix = cv2.getRotationMatrix2D(((width - 1) / 2, (height - 1) / 2), angle, scale)
     matrix[:, 2] += (columns - width) / 2, (rows - height) / 2
     if scale < 1:  # or fine detail would turn into noise; the width is scikit-image's

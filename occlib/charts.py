@@ -17,6 +17,7 @@ from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
 
 from occlib.conditions import CONDITIONS
 from occlib.geometry import Image
+from occlib.matching import ROUNDING
 from occlib.plotting import show_image, show_matches, show_similarity
 
 if TYPE_CHECKING:
@@ -52,7 +53,7 @@ def comparison_table(results: Mapping[str, Comparison]) -> pd.DataFrame:
     rows = {}
     for name, result in results.items():
         y, x = best_place(result)
-        told = np.ptp(result.score) > 0 or result.score.size == 1
+        told = not is_constant(result.score) or result.score.size == 1
         rows[name] = {
             "best": float(result.score[y, x]) if told else np.nan,
             "x": x if told else pd.NA,
@@ -63,6 +64,11 @@ def comparison_table(results: Mapping[str, Comparison]) -> pd.DataFrame:
         }
     table = pd.DataFrame.from_dict(rows, orient="index").rename_axis("method")
     return table.astype({"x": "Int64", "y": "Int64"})
+
+
+def is_constant(score: npt.NDArray[np.float64]) -> bool:
+    """Whether scores differ by no more than rounding."""
+    return bool(np.ptp(score) <= ROUNDING * np.abs(score).max())
 
 
 def best_place(result: Comparison) -> tuple[int, int]:
@@ -102,6 +108,8 @@ def score_histogram(
 ) -> None:
     """How many places have which score, on a logarithmic axis; the accepted side of the threshold is shaded."""
     values = score[np.isfinite(score)]
+    if is_constant(values):  # but for rounding, which has no room for bins
+        values = np.full_like(values, values[0])
     counts, edges = np.histogram(values, bins)
     ax.stairs(counts, edges, fill=True, color="0.35")
     low, high = min(edges[0], threshold), max(edges[-1], threshold)  # NaN, no threshold, changes neither

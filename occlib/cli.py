@@ -58,7 +58,7 @@ def build_parser() -> argparse.ArgumentParser:
 
     p = add("compare", "Look for a template in an image with each measure: a table, and a picture.", compare)
     p.epilog = "x, y: the template's top-left px at the best place. 0 is best for ssd, sad, sed; 1 for ncc, zncc."
-    p.add_argument("image", metavar="IMAGE")
+    p.add_argument("image", metavar="IMAGE", help="read as 8 bit")
     p.add_argument("template", metavar="TEMPLATE", help="a picture no larger than the image")
     p.add_argument("--methods", nargs="+", metavar="NAME", help="ssd, sad, ncc, zncc, sed; all by default")
     p.add_argument("--matchers", metavar="FILE.py", help="a file that registers matchers of your own")
@@ -72,7 +72,7 @@ def build_parser() -> argparse.ArgumentParser:
     p = add(
         "sweep",
         "Compare the template matching measures under every condition; goes on where it was stopped. In full it takes "
-        "about RUNTIME minutes on one core.",
+        "about eight minutes on two cores.",
         sweep,
     )
     p.add_argument(
@@ -89,7 +89,9 @@ def build_parser() -> argparse.ArgumentParser:
     p.add_argument("--sources", nargs="+", metavar="NAME", help="pictures and recordings; by default those that ship")
     p.add_argument("--methods", nargs="+", metavar="NAME", help="ssd, sad, ncc, ...; all by default")
     p.add_argument(
-        "--matchers", metavar="FILE.py", help="a file that registers matchers of your own with @matching.matcher"
+        "--matchers",
+        metavar="FILE.py",
+        help="a file that registers matchers of your own with @matching.matcher; what it imports is not watched for changes",
     )
     p.add_argument("--jobs", type=int, default=1, metavar="N", help="processes; the results do not depend on it")
     p.add_argument("--scheduler", metavar="tcp://HOST:PORT", help="use the workers of this Dask scheduler instead")
@@ -260,6 +262,7 @@ def sweep(args: argparse.Namespace) -> int:
     options = {"jobs": args.jobs, "scheduler": args.scheduler, "inputs": inputs, "tables": tables}
     count = len(sweeps.run_batches(work, function, args.out, **options))
     pictures = {"verdicts.png": charts.verdict_figure(made["verdicts.csv"])}
+    (Path(args.out) / "recall.png").unlink(missing_ok=True)
     with suppress(ValueError):  # one level a condition draws no curve
         pictures["recall.png"] = charts.level_curves(made["summary.csv"])
     for name, picture in pictures.items():

@@ -8,6 +8,7 @@ scaled objects. :func:`compare` puts the measures side by side, and :func:`match
 
 from __future__ import annotations
 
+import re
 import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
@@ -40,6 +41,8 @@ __all__ = [
 
 THRESHOLDS = ("otsu", "mad")
 RULES = ("components", "nms")
+RESERVED = ("condition", "criterion", "best", "tied", "area", "low", "high", "statement")
+"""Columns that tables have beside those of the measures."""
 SPREAD = 5.0
 """Standard deviations, estimated robustly, between the similarity image's median and the threshold ``"mad"``."""
 
@@ -132,7 +135,7 @@ def similarity(
     1e-9 of the largest value; identical windows still score exactly 0.
 
     *Nothing to compare.* ``zncc`` is 0 where the window or the template is flat, ``ncc`` is 0 where either
-    has no energy. ``sed`` is the squared diagonal of the image (px^2), more than any real distance, when the
+    has no energy; for floats and weights that is a spread, or magnitude, below 1e-5 of the largest in the picture. ``sed`` is the squared diagonal of the image (px^2), more than any real distance, when the
     image or the template has no edge: a picture without structure is then the worst match, not an error
     that would stop a sweep half-way.
 
@@ -496,13 +499,17 @@ def matcher(
     array([[2., 1.]])
     >>> del METHODS["extreme"]
     """
-    if not isinstance(name, str) or not name or name in BUILT_IN:
-        raise ValueError(f"name: expected a name that no built-in measure has, got {name!r}")
+    if not isinstance(name, str) or not re.fullmatch(r"[A-Za-z][\w-]*", name) or name in {*BUILT_IN, *RESERVED}:
+        taken = ", ".join((*BUILT_IN, *RESERVED))
+        raise ValueError(f"name: expected letters, digits, _ and -, and none of {taken}; got {name!r}")
+    if not callable(default_threshold) and default_threshold not in THRESHOLDS:
+        known = ", ".join(map(repr, THRESHOLDS))
+        raise ValueError(f"default_threshold: expected a function or one of {known}, got {default_threshold!r}")
 
     def register(function: Callable[..., npt.ArrayLike]) -> Callable[..., npt.ArrayLike]:
         def score(image: Array, template: Array, mask: Array) -> FloatArray:
             try:
-                values = np.asarray(function(image, template, mask), dtype=np.float64)
+                values = np.asarray(function(*map(_read_only, (image, template, mask))), dtype=np.float64)
             except Exception as error:
                 raise ValueError(f"{name}: {type(error).__name__}: {error}") from error
             shape = image.shape[0] - template.shape[0] + 1, image.shape[1] - template.shape[1] + 1
@@ -575,6 +582,12 @@ def _checked_mask(mask: npt.ArrayLike | None, shape: tuple[int, ...]) -> Array:
     if ((weights == 0) | (weights == largest)).all():
         return weights > 0
     return weights.astype(np.float64) / float(largest)
+
+
+def _read_only(values: Array) -> Array:
+    view = values.view()
+    view.flags.writeable = False
+    return view
 
 
 def _own_threshold(measure: Method, image: Array, template: Array, mask: Array) -> float | str:

@@ -62,6 +62,14 @@ EDGE_MARGIN = 3
 """Template edges closer to its border (px) depend on what lies beyond the border, and are left out."""
 
 
+def _compiled(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Compile on first use and keep the result, where there is a folder to write to; else compile in each process."""
+    try:
+        return numba.njit(cache=True, nogil=True)(function)  # type: ignore[no-any-return, unused-ignore]
+    except RuntimeError:  # no place for the cache
+        return numba.njit(nogil=True)(function)  # type: ignore[no-any-return, unused-ignore]
+
+
 def unprepared(image: Array, pairs: Pairs) -> tuple[Array, Pairs]:
     """Nothing to prepare: the windows of the image itself are compared."""
     return image, pairs
@@ -147,7 +155,7 @@ def _by_digits(image: Array, kernel: Array) -> Array:
     return (_by_digits(image, kernel >> high) << bits) + _by_digits(image, kernel & low)
 
 
-@numba.njit(cache=True, nogil=True)
+@_compiled
 def _rounded(values: Array) -> Array:  # pragma: no cover
     whole = np.empty(values.shape, np.int64)
     for r in range(values.shape[0]):
@@ -156,7 +164,7 @@ def _rounded(values: Array) -> Array:  # pragma: no cover
     return whole
 
 
-@numba.njit(cache=True, nogil=True)
+@_compiled
 def _window_moments(values: Array, h: int, w: int) -> tuple[Array, Array]:  # pragma: no cover
     """Sums of integers and of their squares over every window: columns first, then along the row."""
     rows, columns = values.shape[0] - h + 1, values.shape[1] - w + 1
@@ -235,7 +243,7 @@ def _float_ssd(image: Array, template: Array, mask: Array) -> FloatArray:
     return np.asarray(total, dtype=np.float64)
 
 
-@numba.njit(cache=True, nogil=True)
+@_compiled
 def _direct_ssd(image: Array, template: Array, mask: Array, places: Array) -> Array:  # pragma: no cover
     totals = np.zeros(len(places))
     for i in range(len(places)):
@@ -261,7 +269,7 @@ def _sad(image: Array, template: Array, mask: Array) -> FloatArray:
     return np.asarray(total / (mask.sum() * image.shape[2]), dtype=np.float64)
 
 
-@numba.njit(cache=True, nogil=True)
+@_compiled
 def _add_byte_differences(f: Array, t: Array, mask: Array, total: Array) -> None:  # pragma: no cover
     """Add ``sum(|t - f|)`` of every window: a template pixel against a whole row at a time, in 16 bit."""
     rows, columns = total.shape
@@ -280,7 +288,7 @@ def _add_byte_differences(f: Array, t: Array, mask: Array, total: Array) -> None
                     total[r, c] += part[c]
 
 
-@numba.njit(cache=True, nogil=True)
+@_compiled
 def _add_differences(f: Array, t: Array, weights: Array, total: Array) -> None:  # pragma: no cover
     """The same for int32, whose rows of differences of 16 bit numbers are summed exactly, and for float64."""
     rows, columns = total.shape
@@ -323,7 +331,7 @@ def _ncc(image: Array, template: Array, mask: Array, *, centred: bool = False) -
     return _normalised(cross, energy, own, 0.0)
 
 
-@numba.njit(cache=True, nogil=True)
+@_compiled
 def _add_products(
     product: Array,
     sums: Array,
@@ -347,7 +355,7 @@ def _add_products(
                 energy[r, c] += squares[r, c]
 
 
-@numba.njit(cache=True, nogil=True)
+@_compiled
 def _centred(product: int, one: int, other: int, n: int, wide: bool) -> float:  # pragma: no cover
     """``n product - one other`` of whole numbers, rounded once, though the terms may pass 64 bit.
 
@@ -361,7 +369,7 @@ def _centred(product: int, one: int, other: int, n: int, wide: bool) -> float:  
     return last + 2.0**64 * np.rint((about - last) / 2.0**64)
 
 
-@numba.njit(cache=True, nogil=True)
+@_compiled
 def _normalised(cross: Array, energy: Array, own: float, least: float) -> Array:  # pragma: no cover
     """``cross / sqrt(energy * own)``, 0 where an energy is not above ``least``; written over ``cross``."""
     for r in range(cross.shape[0]):
@@ -384,13 +392,15 @@ def _float_ncc(image: Array, template: Array, mask: Array, centred: bool) -> Flo
         product, total, squares = _correlations([(f, mask * t)], [(f, mask)], [(f * f, mask)])
         cross = cross + product
         energy = energy + (squares - total * total / n if centred else squares)
-    doubtful = np.argwhere(energy <= CANCELLED * n * image.shape[2])
+    seen, _ = _window_moments((image != 0).any(axis=2).astype(np.uint8), *mask.shape)
+    cross[seen == 0] = energy[seen == 0] = 0.0  # black: nothing to compute
+    doubtful = np.argwhere((energy <= CANCELLED * n * image.shape[2]) & (seen > 0))
     cross[tuple(doubtful.T)], energy[tuple(doubtful.T)] = _direct_ncc(image, template, mask, doubtful, centred)
     own = float((mask[:, :, None] * template**2).sum())
     return _normalised(cross, energy, own, FLAT**2 * n * image.shape[2])
 
 
-@numba.njit(cache=True, nogil=True)
+@_compiled
 def _direct_ncc(
     image: Array, template: Array, mask: Array, places: Array, centred: bool
 ) -> tuple[Array, Array]:  # pragma: no cover

@@ -407,7 +407,7 @@ def _on_cluster(work: Work, batches: Sequence[Keyed], scheduler: str) -> Generat
         logging.getLogger(name).setLevel(logging.CRITICAL)
     try:
         client = distributed.Client(scheduler, timeout=CONNECT_S, set_as_default=False)
-    except OSError:
+    except Exception:  # refused, timed out, or something else at that address
         raise ValueError(f"scheduler {scheduler!r}: no answer within {CONNECT_S} s") from None
     waiting: dict[Any, Keyed] = {}
     try:

@@ -193,9 +193,10 @@ def make_trial(source: str, seed: int, condition: str = "noise", level: float | 
     fraction = _stream(seed, source, "fraction").uniform(-0.5, 0.5, 2)
     truth = view.centre - start.centre + cut + fraction
     x, y = np.rint(truth - fraction).astype(int).tolist()
-    rng, image = _stream(seed, source, what), _displaced(view.grey, fraction)
+    rng, image = _stream(seed, source, what), view.grey
     if chosen.whole and level != chosen.clean:
         image = chosen.apply(image, (x, y, side, side), level, rng)
+    image = _displaced(image, fraction)
     free = np.subtract(SEARCH_PX, side)
     inside = np.rint(_stream(seed, source, "place").random(2) * free).astype(int)
     left, top = np.clip((x, y) - inside, 0, np.maximum(np.subtract(image.shape[1::-1], SEARCH_PX), 0)).tolist()
@@ -212,9 +213,11 @@ def make_trial(source: str, seed: int, condition: str = "noise", level: float | 
 
 
 def _displaced(image: Image, fraction: FloatArray) -> Image:
-    """Moved right and down by a fraction of a pixel."""
-    warp = np.array([[1, 0, fraction[0]], [0, 1, fraction[1]]])
-    return cv2.warpAffine(image, warp, image.shape[1::-1], flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
+    """Moved right and down by a fraction of a pixel, by a windowed sinc: OpenCV's warps move in steps of 1/32 px."""
+    taps = np.arange(-5, 6)
+    kernels = [np.sinc(taps + d) * np.sinc((taps + d) / 5.5) for d in fraction]
+    across, down = (kernel / kernel.sum() for kernel in kernels)
+    return np.clip(np.rint(cv2.sepFilter2D(image, cv2.CV_64F, across, down)), 0, 255).astype(np.uint8)
 
 
 def _noisy(image: Image, noise: FloatArray) -> Image:
@@ -243,7 +246,8 @@ def registered(methods: Methods) -> Iterator[list[matching.Method]]:
 def measured_trial(trial: Trial, method: matching.Method, tau_px: float) -> dict[str, Any]:
     """Everything that one similarity image tells."""
     score = matching.similarity(trial.image, trial.template, method.name)
-    cost = 1 - score if method.higher_is_better else score
+    cost = -score if method.higher_is_better else score
+    perfect = -method.bounds[1] if method.higher_is_better else method.bounds[0]
     everything = float(score.min() if method.higher_is_better else score.max())
     places = matching.optima(score, method.name, everything, "nms", size=trial.template.shape, max_count=WRONG + 3)
     row, column = np.unravel_index(np.argmin(cost), cost.shape)
@@ -254,9 +258,11 @@ def measured_trial(trial: Trial, method: matching.Method, tau_px: float) -> dict
     error = float(np.hypot(dx, dy))
     at = np.argwhere(np.hypot(*(np.indices(cost.shape) - true[::-1, None, None])) <= tau_px)
     near = score[at[:, 0], at[:, 1]]
-    costs = cost[places[:, 0], places[:, 1]]
-    ratio = min(costs[1] / max(costs[0], 1e-12), PEAK_CAP) if len(costs) > 1 and costs[1] > costs[0] else (
-        1.0 if len(costs) > 1 else PEAK_CAP)  # fmt: skip
+    costs = cost[places[:, 0], places[:, 1]] - perfect
+    ratio = float("nan")  # of a measure that has no perfect score
+    if np.isfinite(perfect):
+        ratio = min(costs[1] / max(costs[0], 1e-12), PEAK_CAP) if len(costs) > 1 else PEAK_CAP
+        ratio = max(ratio, 1.0)
     scores = score[places[wrong, 0], places[wrong, 1]].tolist() + [np.nan] * WRONG
     return {
         "method": method.name, "higher_is_better": method.higher_is_better, "present": trial.corner is not None,

@@ -479,3 +479,16 @@ def test_the_pyramid_of_flat_and_small_templates() -> None:
             assert_same(image / 255, np.asarray(template) / 255, method, exact=False)
     for limit in (-1, -0.5, 0, 0.3, 1):
         assert_same(image, image[40:60, 20:40], "zncc", threshold=limit, rule="nms")
+
+
+@pytest.mark.parametrize("scales", [[1000], [1e12], [1e-9], [1e-3], [1e300]])
+def test_scales_at_which_nothing_fits_are_refused_at_once(scales: list[float]) -> None:
+    image = np.arange(64 * 64, dtype=np.uint8).reshape(64, 64)
+    with pytest.raises(ValueError, match=r"scales: expected a template, turned and scaled, .* none of 1 is"):
+        find(image, image[:20, :20], scales=scales)
+
+
+def test_scales_that_do_not_fit_are_left_out() -> None:
+    image = np.random.default_rng(0).integers(0, 256, (64, 64)).astype(np.uint8)
+    plain = find(image, image[10:30, 10:30])
+    assert find(image, image[10:30, 10:30], scales=[1e12, 1, 1e-9]) == plain

@@ -540,3 +540,27 @@ def test_inputs_stay_unchanged(method: str) -> None:
         reference_similarity(image[:22, :22], template, method, mask)
         for array, copy in zip((image, template, mask), before, strict=True):
             np.testing.assert_array_equal(array, copy)
+
+
+def test_without_a_folder_for_the_cache_it_compiles_all_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    from occlib import measures
+
+    real = measures.numba.njit
+
+    def njit(**options: Any) -> Any:
+        if options.get("cache"):
+            raise RuntimeError("cannot cache function: no locator available")
+        return real(**options)
+
+    monkeypatch.setattr(measures.numba, "njit", njit)
+    assert measures._compiled(lambda x: x + 1)(2) == 3
+
+
+@pytest.mark.parametrize("method", ["ncc", "zncc"])
+def test_black_windows_of_float_pictures_score_zero(method: str) -> None:
+    image = np.zeros((60, 80))
+    image[20:40, 30:50] = np.random.default_rng(0).random((20, 20))
+    template = image[25:37, 33:47]
+    score = similarity(image, template, method)
+    assert (score[:5, :10] == 0).all() and score[25, 33] == pytest.approx(1)
+    np.testing.assert_allclose(score, reference_similarity(image, template, method), atol=1e-9)

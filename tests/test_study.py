@@ -120,7 +120,7 @@ def test_clean_trial_holds_the_template_at_the_true_place(source):
         x, y = np.floor(trial.corner).astype(int)
         right, down = trial.corner - (x, y)  # the template as it looks when displaced by the rest of a pixel
         warp = np.array([[1, 0, right], [0, 1, down]])
-        expected = cv2.warpAffine(trial.template, warp, (side, side), flags=cv2.INTER_CUBIC)[3:-3, 3:-3]
+        expected = cv2.warpAffine(trial.template, warp, (side, side), flags=cv2.INTER_LANCZOS4)[3:-3, 3:-3]
         difference = trial.image[y : y + side, x : x + side][3:-3, 3:-3].astype(float) - expected
         assert difference.std() < 1.3 * trials.SENSOR_NOISE and abs(difference.mean()) < 2
 
@@ -133,6 +133,23 @@ def test_the_search_image_is_displaced_by_a_fraction_of_a_pixel_and_noisy():
     clean = study.make_trial("camera", 0)
     assert np.array_equal(other.image, clean.image) and (other.corner == clean.corner).all()
     assert one.image.astype(float).std() > clean.image.astype(float).std()  # tried under more noise
+
+
+@pytest.mark.parametrize(
+    "name, level", [("noise", 0), ("rotation", 45), ("rotation", 10), ("scale", 1.6), ("scale", 0.8)]
+)
+def test_the_truth_is_where_the_target_is(name, level, monkeypatch):
+    """Measured independently: the centre of gravity of a spot that is the target."""
+    rows, columns = np.mgrid[:400, :500]
+    spot = np.rint(250 * np.exp(-((columns - 230) ** 2 + (rows - 190) ** 2) / 30)).astype(np.uint8)
+    view = trials.View(spot, np.array([230.0, 190.0]), np.eye(2))
+    monkeypatch.setattr(trials, "_views", lambda source, seed: {0: view})
+    monkeypatch.setattr(trials, "SENSOR_NOISE", 0.0)
+    for seed in range(6):
+        trial = study.make_trial("camera", seed, name, level, side=49)
+        weights = trial.image.astype(float)
+        y, x = (np.average(axis, weights=weights) for axis in np.mgrid[:240, :320])
+        assert (x, y) == pytest.approx(trial.corner + 24, abs=0.02)
 
 
 def test_one_seed_has_the_same_target_under_every_condition():
@@ -276,7 +293,8 @@ def test_a_perfect_and_an_absurd_matcher(monkeypatch):
     assert rules.loc[("default", "oracle", "absent"), "false_alarms"] == 0
     table["seed"] %= 2
     told = study.verdicts(table).set_index("condition")
-    assert told.loc["offset", "best"] == "oracle" and np.isnan(told.loc["offset", "low"])  # nothing varies: no interval
+    assert told.loc["offset", "best"] == "oracle" and told.loc["offset", "tied"] == ""
+    assert 0.9 < told.loc["offset", "low"] < told.loc["offset", "high"] == 1
 
 
 def test_batches_and_keys():
@@ -377,7 +395,10 @@ def test_stratified_interval_ignores_what_differs_between_sources():
     far = study.stratified_interval(pd.Series([1, 2, 3, 101, 102, 103.0], index))
     half = 2.776445 * np.sqrt(1 * (1 / 3 + 1 / 3)) / 2  # t(4), variance 1
     assert one == pytest.approx((2, 2 - half, 2 + half)) and far == pytest.approx((52, 52 - half, 52 + half))
-    assert np.isnan(study.stratified_interval(pd.Series([1, 1, 1, 2, 2, 2.0], index))[1:]).all()  # nothing varies
+    still = 2.776445 * np.sqrt(3 / 6 * 0.05**2 * (1 / 3 + 1 / 3)) / 2  # nothing varies: the rule of three
+    assert study.stratified_interval(pd.Series([1, 1, 1, 2, 2, 2.0], index)) == pytest.approx(
+        (1.5, 1.5 - still, 1.5 + still)
+    )
     single = study.stratified_interval(pd.Series([1, 2.0], index[[0, 3]]))
     assert single[0] == 1.5 and np.isnan(single[1:]).all()
 
@@ -410,6 +431,13 @@ def test_fixed_threshold_is_tuned_on_clean_trials_only():
     correlation = table_of([(0, 0, -0.9, -0.5)]).assign(higher_is_better=True)
     correlation[["score_target", "wrong_1"]] *= -1
     assert study.fixed_thresholds(correlation) == {"ssd": pytest.approx(0.7)}
+
+
+def test_fixed_threshold_leaves_out_what_is_tried_under_noise():
+    rows = [(0, 0, 1.0, 9.0), (1, 0, 3.0, 20.0)]
+    clutter = table_of([(0, 0, 500.0, 900.0), (1, 0, 700.0, 990.0)]).assign(condition="clutter")
+    both = [clutter, table_of(rows)]
+    assert study.fixed_thresholds(pd.concat(both)) == study.fixed_thresholds(pd.concat(both[::-1])) == {"ssd": 6}
 
 
 def test_threshold_rules_by_hand():
