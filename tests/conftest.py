@@ -18,6 +18,7 @@ import pytest
 
 from occlib.geometry import Camera, Floor, Rig
 
+collect_ignore_glob = ["bench_*.py"]  # scripts, without tests
 SHARED = Path(__file__).parents[2] / "shared/data"
 SIZE, FLOOR_GREY = (160, 120), (170, 170, 170)
 
