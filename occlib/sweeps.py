@@ -368,7 +368,10 @@ def _in_processes(work: Work, batches: Sequence[Keyed], jobs: int) -> Generator[
 
     results: Any = None
     try:
-        with parallel_config("loky", inner_max_num_threads=1, initializer=_begin_worker, initargs=(os.getpid(),)):
+        with (
+            _quiet_tracker(),
+            parallel_config("loky", inner_max_num_threads=1, initializer=_begin_worker, initargs=(os.getpid(),)),
+        ):
             parallel = Parallel(n_jobs=jobs, batch_size=1, max_nbytes=None, return_as="generator_unordered")
             results = parallel(delayed(work)(batch) for batch in batches)
         for done in results:  # noqa: UP028 - `yield from` would close the results while the warnings are still on
@@ -381,6 +384,19 @@ def _in_processes(work: Work, batches: Sequence[Keyed], jobs: int) -> Generator[
             if results is not None:
                 results.close()
             get_reusable_executor().shutdown(wait=True, kill_workers=True)
+
+
+@contextmanager
+def _quiet_tracker() -> Iterator[None]:
+    """Joblib's tracker, a process of its own, tidies up after killed workers; it need not warn that it does."""
+    before = os.environ.get("PYTHONWARNINGS")
+    os.environ["PYTHONWARNINGS"] = ",".join(filter(None, [before, "ignore:resource_tracker:UserWarning"]))
+    try:
+        yield
+    finally:
+        os.environ.pop("PYTHONWARNINGS")
+        if before is not None:
+            os.environ["PYTHONWARNINGS"] = before
 
 
 def _begin_worker(parent: int) -> None:
