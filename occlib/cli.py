@@ -72,7 +72,7 @@ def build_parser() -> argparse.ArgumentParser:
     p = add(
         "sweep",
         "Compare the template matching measures under every condition; goes on where it was stopped. In full it takes "
-        "about eight minutes on two cores.",
+        "about seven minutes on two cores.",
         sweep,
     )
     p.add_argument(
