@@ -171,13 +171,19 @@ def _threshold(text: str | None) -> str | float | None:
 
 def evaluate(args: argparse.Namespace) -> int:
     from occlib.metrics import evaluate as score_objects
-    from occlib.metrics import load_objects, load_truth
+    from occlib.metrics import evaluate_hidden, load_objects, load_truth
 
-    score = score_objects(load_objects(args.objects), load_truth(args.truth), roi=args.roi, radius=args.radius)
+    objects, truth = load_objects(args.objects), load_truth(args.truth)
+    hidden = evaluate_hidden(objects, truth, roi=args.roi, radius=args.radius)
+    scores = {
+        **score_objects(objects, truth, roi=args.roi, radius=args.radius).to_dict(),
+        "hidden_precision": hidden.precision,
+        "hidden_recall": hidden.recall,
+    }
     if args.json:
-        print(json.dumps(score.to_dict()))
+        print(json.dumps(scores))
     else:
-        for name, value in score.to_dict().items():
+        for name, value in scores.items():
             print(f"{name:>16}  {'-' if value is None else f'{value:.4g}' if isinstance(value, float) else value}")
     return 0
 

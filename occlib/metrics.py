@@ -5,7 +5,8 @@ Vehicle Detection and Tracking in Video", IEEE TPAMI 31(2), doi:10.1109/TPAMI.20
 the floor (Chavdarova et al. 2018, WILDTRACK) in place of overlaps in the image. Conventions:
 
 * every frame of the truth counts, with or without detections; frames that the truth lacks are ignored;
-* MODA is never clamped: with many false positives it is negative;
+* MODA is never clamped: with many false positives it is negative (``moda_public`` keeps both habits of the
+  public evaluator, which flatter: it clamps, and skips the frames in which nothing was detected);
 * a pair matches when its distance is *strictly* below the radius;
 * a score that is undefined (no truth, no match, ...) is ``None``, never NaN.
 """
@@ -13,8 +14,10 @@ the floor (Chavdarova et al. 2018, WILDTRACK) in place of overlaps in the image.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections import Counter
+from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from itertools import count
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -24,7 +27,7 @@ from scipy.optimize import linear_sum_assignment
 
 from occlib.geometry import FloatArray, Floor, Mask, as_points
 
-Detections: TypeAlias = Mapping[int, Any]  # frame -> (N, 2) array in m, or a list of {"x", "y", "id"?}
+Detections: TypeAlias = Mapping[int, Any]  # frame -> (N, 2) array in m, or a list of {"x", "y", "id"?, "hidden_in"?}
 Pair: TypeAlias = tuple[int, int, float]  # index of the detection, index of the truth, distance in m
 
 
@@ -49,6 +52,8 @@ class Score:
         Distance between matched detection and truth in m, in [0, radius), lower is better.
     tp, fp, fn, truth_count, frames
         Matches, false positives, misses, true objects (``tp + fn``), frames of the truth.
+    ghosts_per_frame
+        ``fp / frames``, in [0, inf), lower is better; ``None`` without frames.
     id_switches
         How often a true object is matched under another id than the last time; ``None`` if detections
         or truth carry no ids.
@@ -67,11 +72,36 @@ class Score:
     fn: int
     truth_count: int
     frames: int
+    ghosts_per_frame: float | None
     id_switches: int | None
 
     def to_dict(self) -> dict[str, float | int | None]:
         """The scores as plain numbers and ``None``, ready for ``json.dumps``."""
         return asdict(self)
+
+
+@dataclass(frozen=True)
+class HiddenScore:
+    """How well the cameras named in ``hidden_in`` agree with the truth's ``hidden_fraction``.
+
+    Parameters
+    ----------
+    precision, recall, f1
+        In [0, 1], higher is better; ``None`` where undefined (nothing reported hidden, nothing hidden, neither).
+    tp, fp, fn
+        Counts of (object, camera): hidden and reported, reported but not hidden, hidden but not reported.
+    compared
+        How many (matched object, camera) had a known hidden fraction. The hidden ones of lost objects are in
+        ``fn`` but not here.
+    """
+
+    precision: float | None
+    recall: float | None
+    f1: float | None
+    tp: int
+    fp: int
+    fn: int
+    compared: int
 
 
 # --- matching --------------------------------------------------------------------------------------
@@ -201,7 +231,108 @@ def evaluate(detections: Detections, truth: Mapping[str, Any], *, roi: str | Non
         fn=missed,
         truth_count=expected,
         frames=frames,
+        ghosts_per_frame=_ratio(false, frames),
         id_switches=switches if with_ids and errors else None,
+    )
+
+
+def ghost_lifetimes(
+    detections: Detections, truth: Mapping[str, Any], *, roi: str | None = None, radius: float = 0.5
+) -> list[int]:
+    """Over how many consecutive frames of the truth each ghost (false positive) stays.
+
+    Parameters
+    ----------
+    detections, truth, roi, radius
+        As for :func:`evaluate`.
+
+    Returns
+    -------
+    list of int
+        One length >= 1 in frames of the truth (not of the recording) a run, by first appearance; lower is
+        better, empty without ghosts. A run ends when its id is absent, matched or outside ``roi``; when the
+        id is a ghost again later, that is another run.
+
+    Raises
+    ------
+    ValueError
+        As :func:`evaluate`.
+
+    Notes
+    -----
+    If any ghost lacks an id, ghosts of successive frames are linked by place instead, as in
+    :func:`match_points`: one to one, nearer than ``radius``. With ids, one that comes twice in a frame
+    counts once there.
+
+    >>> truth = {"frames": {"0": [], "4": [], "8": []}}
+    >>> ghost_lifetimes({0: [[1, 1]], 4: [[1.1, 1], [3, 3]]}, truth)
+    [2, 1]
+    """
+    ghosts = []
+    for detected, _, pairs in _matched_frames(detections, truth, roi, radius):
+        matched = {i for i, _, _ in pairs}
+        ghosts.append([thing for i, thing in enumerate(detected) if i not in matched])
+    if all(thing.get("id") is not None for frame in ghosts for thing in frame):
+        return _run_lengths([thing["id"] for thing in frame] for frame in ghosts)
+    return _run_lengths(_linked(ghosts, radius))
+
+
+def evaluate_hidden(
+    detections: Detections,
+    truth: Mapping[str, Any],
+    *,
+    cameras: Sequence[str] | None = None,
+    hidden: float = 0.9,
+    roi: str | None = None,
+    radius: float = 0.5,
+) -> HiddenScore:
+    """Score which cameras the detections name in ``hidden_in`` against the truth's ``hidden_fraction``.
+
+    Each true object is compared in each camera of which its ``hidden_fraction`` is known: it is hidden there
+    from the fraction ``hidden`` on, and reported so if its matched detection names the camera. A true object
+    without a match was not reported: where it is hidden it counts as ``fn``. A false positive has no true
+    state to compare with; :func:`evaluate` counts it.
+
+    Parameters
+    ----------
+    detections, truth, roi, radius
+        As for :func:`evaluate`. A detection without ``hidden_in`` reports nothing hidden.
+    cameras
+        Compare only in these; all that the true object names for ``None``. A camera that the true object does
+        not name is skipped: its state is unknown.
+    hidden
+        Fraction in (0, 1] from which (``>=``) an object counts as hidden.
+
+    Raises
+    ------
+    ValueError
+        ``hidden`` outside (0, 1], ``cameras`` a single string, and as :func:`evaluate`.
+
+    Examples
+    --------
+    >>> truth = {"frames": {"0": [{"x": 0, "y": 0, "hidden_fraction": {"left": 1.0, "right": 0.2}}]}}
+    >>> evaluate_hidden({0: [{"x": 0, "y": 0, "hidden_in": ["left", "right"]}]}, truth)
+    HiddenScore(precision=0.5, recall=1.0, f1=0.66..., tp=1, fp=1, fn=0, compared=2)
+    """
+    _check_fraction(hidden, "hidden")
+    _check_cameras(cameras)
+    outcomes: Counter[tuple[bool, bool]] = Counter()  # (reported, hidden)
+    compared = 0
+    for detected, true, pairs in _matched_frames(detections, truth, roi, radius):
+        reported = {j: detected[i].get("hidden_in") or () for i, j, _ in pairs}
+        for j, thing in enumerate(true):
+            known = _known_fractions(thing, cameras)
+            outcomes.update((name in reported.get(j, ()), known[name] >= hidden) for name in known)
+            compared += len(known) if j in reported else 0
+    tp, fp, fn = outcomes[True, True], outcomes[True, False], outcomes[False, True]
+    return HiddenScore(
+        precision=_ratio(tp, tp + fp),
+        recall=_ratio(tp, tp + fn),
+        f1=_ratio(2 * tp, 2 * tp + fp + fn),
+        tp=tp,
+        fp=fp,
+        fn=fn,
+        compared=compared,
     )
 
 
@@ -211,6 +342,7 @@ def recall_by_hidden_fraction(
     *,
     cameras: Sequence[str] | None = None,
     edges: Sequence[float] = (0.0, 0.25, 0.5, 0.75, 1.0),
+    best_below: float | None = None,
     roi: str | None = None,
     radius: float = 0.5,
 ) -> list[dict[str, float | int | None]]:
@@ -220,25 +352,35 @@ def recall_by_hidden_fraction(
     all cameras for ``None``. A bin holds ``low <= fraction < high``, the last one also ``high``.
     Returns one ``{"low", "high", "count", "recall"}`` a bin; ``recall`` is ``None`` for an empty one.
 
+    ``best_below``, in (0, 1], keeps only objects that some view is known to hide less than this: with
+    ``edges=(0.9, 1), best_below=0.9`` those that one camera lost and another sees, the case that the second
+    camera is there for. A camera absent from ``hidden_fraction`` is not known to see the object.
+
+    Raises ``ValueError`` for edges that do not increase, ``best_below`` outside (0, 1], ``cameras`` a single
+    string, and as :func:`evaluate`.
+
     >>> truth = {"frames": {"0": [{"x": 0, "y": 0, "hidden_fraction": {"left": 1.0}}]}}
     >>> recall_by_hidden_fraction({0: [[0, 0]]}, truth, edges=(0, 0.5, 1))[1]
     {'low': 0.5, 'high': 1.0, 'count': 1, 'recall': 1.0}
     """
     if len(edges) < 2 or not np.all(np.diff(edges) > 0):
         raise ValueError(f"edges: expected two or more increasing numbers, got {tuple(edges)}")
-    count, hits = np.zeros(len(edges) - 1, int), np.zeros(len(edges) - 1, int)
+    if best_below is not None:
+        _check_fraction(best_below, "best_below")
+    _check_cameras(cameras)
+    total, hits = np.zeros(len(edges) - 1, int), np.zeros(len(edges) - 1, int)
     for _, true, pairs in _matched_frames(detections, truth, roi, radius):
         matched = {j for _, j, _ in pairs}
         for j, thing in enumerate(true):
-            hidden: Mapping[str, float] = thing.get("hidden_fraction") or {}
-            worst = max((hidden.get(name, 0.0) for name in (hidden if cameras is None else cameras)), default=0.0)
-            if edges[0] <= worst <= edges[-1]:
-                index = min(int(np.searchsorted(edges, worst, side="right")) - 1, len(count) - 1)
-                count[index] += 1
+            known = _known_fractions(thing, cameras).values()
+            worst, best = max(known, default=0.0), min(known, default=np.inf)
+            if edges[0] <= worst <= edges[-1] and (best_below is None or best < best_below):
+                index = min(int(np.searchsorted(edges, worst, side="right")) - 1, len(total) - 1)
+                total[index] += 1
                 hits[index] += j in matched
     return [
         {"low": float(low), "high": float(high), "count": int(n), "recall": _ratio(int(hit), int(n))}
-        for low, high, n, hit in zip(edges[:-1], edges[1:], count, hits, strict=True)
+        for low, high, n, hit in zip(edges[:-1], edges[1:], total, hits, strict=True)
     ]
 
 
@@ -280,10 +422,36 @@ def claimed_area_ratio(occupied: Mask, floor: Floor, footprints: Sequence[npt.Ar
     2.0
     """
     _check_map(occupied, floor)
-    union = np.zeros(floor.shape, dtype=bool)
-    for footprint in footprints:
-        union |= floor.polygon_mask(footprint)
-    return _ratio(int(occupied.sum()), int(union.sum()))
+    return _ratio(int(occupied.sum()), int(_union(floor, footprints).sum()))
+
+
+def free_space_blocked(occupied: Mask, floor: Floor, footprints: Sequence[npt.ArrayLike]) -> float | None:
+    """Fraction of the truly free floor that the map claims as occupied, in [0, 1], lower is better.
+
+    A cell is free when its centre lies in no footprint. ``None`` when the footprints fill the map.
+
+    Parameters
+    ----------
+    occupied
+        bool (ny, nx).
+    floor
+        The map's floor.
+    footprints
+        Polygons (M, 2) in m; none: the whole map is free.
+
+    Raises
+    ------
+    ValueError
+        ``occupied`` not bool or not of the floor's shape.
+
+    >>> floor = Floor((0, 1), (0, 1), 0.5)
+    >>> occupied = np.array([[True, True], [True, False]])
+    >>> free_space_blocked(occupied, floor, [[[0, 0], [0.5, 0], [0.5, 1], [0, 1]]])
+    0.5
+    """
+    _check_map(occupied, floor)
+    free = ~_union(floor, footprints)
+    return _ratio(int((occupied & free).sum()), int(free.sum()))
 
 
 # --- files -----------------------------------------------------------------------------------------
@@ -304,7 +472,7 @@ def load_objects(path: str | Path) -> dict[int, list[dict[str, Any]]]:
             raise ValueError(f"{where}: expected an object with an integer 'frame'")
         if frame in frames:
             raise ValueError(f"{where}: frame {frame} comes twice")
-        frames[frame] = _things(entry.get("objects"), f"{where}: objects")
+        frames[frame] = _detected_things(entry.get("objects"), f"{where}: objects")
     return frames
 
 
@@ -357,6 +525,15 @@ def _things(entries: Any, where: str) -> list[dict[str, Any]]:
     return entries
 
 
+def _detected_things(entries: Any, where: str) -> list[dict[str, Any]]:
+    """Check what :func:`_things` checks, and that ``hidden_in`` lists names."""
+    for index, entry in enumerate(_things(entries, where)):
+        names = entry.get("hidden_in")
+        if not (isinstance(names, list | tuple | None) and all(isinstance(name, str) for name in names or ())):
+            raise ValueError(f"{where}[{index}].hidden_in: expected a list of cameras, got {str(names)[:40]}")
+    return list(entries)
+
+
 def _truth_frames(truth: Any) -> dict[int, list[dict[str, Any]]]:
     """The true objects of each frame, frames in increasing order."""
     if not isinstance(truth, Mapping) or not isinstance(truth.get("frames"), Mapping):
@@ -379,8 +556,12 @@ def _check_true_object(thing: Mapping[str, Any], where: str) -> None:
     """Check the fields that only a truth file has."""
     if thing.get("footprint") is not None:
         _polygon(thing["footprint"], f"{where}.footprint")
-    hidden = thing.get("hidden_fraction")
-    if hidden is not None and not (isinstance(hidden, Mapping) and all(map(_is_number, hidden.values()))):
+    if thing.get("hidden_fraction") is not None:
+        _check_hidden_fraction(thing["hidden_fraction"], where)
+
+
+def _check_hidden_fraction(hidden: Any, where: str) -> None:
+    if not (isinstance(hidden, Mapping) and all(map(_is_number, hidden.values()))):
         raise ValueError(f"{where}.hidden_fraction: expected a mapping of cameras to numbers, got {str(hidden)[:40]}")
 
 
@@ -420,11 +601,47 @@ def _matched_frames(
         yield detected, true, match_points(_positions(detected), _positions(true), radius)
 
 
+def _known_fractions(thing: Mapping[str, Any], cameras: Sequence[str] | None) -> dict[str, float]:
+    """A true object's hidden fraction in each of the cameras that it names; of all that it names for ``None``."""
+    known = thing.get("hidden_fraction") or {}
+    _check_hidden_fraction(known, "truth")
+    return {name: known[name] for name in (known if cameras is None else cameras) if name in known}
+
+
+def _linked(frames: Iterable[list[dict[str, Any]]], radius: float) -> Iterator[list[int]]:
+    """For each frame a number for each thing: that of its partner in the frame before, else a new one."""
+    new = count()
+    before, numbers = np.empty((0, 2)), list[int]()
+    for things in frames:
+        now = _positions(things)
+        same = {j: numbers[i] for i, j, _ in match_points(before, now, radius)}
+        before, numbers = now, [same[j] if j in same else next(new) for j in range(len(now))]
+        yield numbers
+
+
+def _run_lengths(frames: Iterable[Sequence[Hashable]]) -> list[int]:
+    """For each run of successive frames that hold a key its length, by first appearance.
+
+    >>> _run_lengths([["a"], ["a", "b"], ["b"], ["a"]])
+    [2, 2, 1]
+    """
+    lengths: list[int] = []
+    runs: dict[Hashable, int] = {}  # the last frame's keys, and the index in `lengths` of their run
+    for keys in frames:
+        before, runs = runs, {}
+        for key in dict.fromkeys(keys):
+            if key not in before:
+                lengths.append(0)
+            runs[key] = before.get(key, len(lengths) - 1)
+            lengths[runs[key]] += 1
+    return lengths
+
+
 def _detected(entries: Any, frame: int) -> list[dict[str, Any]]:
     """One frame's detections as mappings, whichever way they came."""
     where = f"detections[{frame}]"
     if len(entries) and isinstance(entries[0], Mapping):
-        return _things(list(entries), where)
+        return _detected_things(list(entries), where)
     return _things([{"x": x, "y": y} for x, y in as_points(entries, name=where).tolist()], where)
 
 
@@ -443,6 +660,23 @@ def _distances(a: npt.ArrayLike, b: npt.ArrayLike) -> FloatArray:
 
 def _ratio(part: int, whole: int) -> float | None:
     return part / whole if whole else None
+
+
+def _union(floor: Floor, footprints: Sequence[npt.ArrayLike]) -> Mask:
+    union = np.zeros(floor.shape, dtype=bool)
+    for footprint in footprints:
+        union |= floor.polygon_mask(footprint)
+    return union
+
+
+def _check_fraction(value: float, name: str) -> None:
+    if not 0 < value <= 1:
+        raise ValueError(f"{name}: expected a fraction in (0, 1], got {value}")
+
+
+def _check_cameras(cameras: Sequence[str] | None) -> None:
+    if isinstance(cameras, str):
+        raise ValueError(f"cameras: expected a sequence of names, got {cameras!r}")
 
 
 def _check_map(occupied: Mask, floor: Floor) -> None:

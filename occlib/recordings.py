@@ -148,25 +148,29 @@ class Recording:
     rig
         Floor and cameras, in the order in which they were asked for.
     frames
-        The number of every instant: the number in the picture's name, or the index in the video.
+        The number of every instant: the number in the picture's name, or the index in the video. Instants at which
+        a camera dropped out are among them.
     fps
         Frames a second: of the video, or ``fps`` in ``rig.yaml``, else 10.
     sources
-        For each camera its video, or its pictures in the order of ``frames``.
+        For each camera its video, or its pictures in the order of ``frames``, ``None`` where it dropped out.
     """
 
     path: Path
     rig: Rig
     frames: tuple[int, ...]
     fps: float
-    sources: dict[str, Path | tuple[Path, ...]]
+    sources: dict[str, Path | tuple[Path | None, ...]]
 
     def time(self, frame: int) -> float:
         """Seconds since frame 0."""
         return frame / self.fps
 
     def images(self, frames: Sequence[int] | None = None) -> Iterator[tuple[int, dict[str, Image]]]:
-        """Yield ``(frame, {camera: uint8 RGB (H, W, 3)})`` for the frames asked for, in order."""
+        """Yield ``(frame, {camera: uint8 RGB (H, W, 3)})`` for the frames asked for, in order.
+
+        A camera that has no picture of an instant is left out of its dictionary.
+        """
         wanted = set(self.frames if frames is None else frames)
         unknown = sorted(wanted - set(self.frames))
         if unknown:
@@ -176,13 +180,14 @@ class Recording:
         readers = {name: _reader(source, self.frames, wanted) for name, source in self.sources.items()}
         for frame in self.frames:
             if frame in wanted:
-                images = {name: next(reader) for name, reader in readers.items()}
+                read = {name: next(reader) for name, reader in readers.items()}
+                images = {name: image for name, image in read.items() if image is not None}
                 for name, image in images.items():
                     check_size(image, self.rig[name].size, f"{self.path.name} frame {frame} of {name}")
                 yield frame, images
 
     def sample(self, count: int) -> dict[str, list[Image]]:
-        """At most ``count`` frames of every camera, spread evenly over the recording."""
+        """At most ``count`` frames of every camera, spread evenly over the recording; those it lacks are left out."""
         index = np.unique(np.linspace(0, len(self.frames) - 1, min(count, len(self.frames))).round().astype(int))
         pictures: dict[str, list[Image]] = {name: [] for name in self.sources}
         for _, images in self.images([self.frames[i] for i in index]):
@@ -217,6 +222,9 @@ def check_size(image: Image, size: tuple[int, int], what: str) -> None:
 def open_recording(path: str | Path, cameras: Sequence[str] | None = None) -> Recording:
     """Open a recording and check that its views fit together.
 
+    A camera may have dropped out for a while: of pictures that are numbered by their names, it may lack up to half, but
+    not the first, if another camera has them all. Anything else that does not match is an error.
+
     Parameters
     ----------
     path
@@ -237,33 +245,37 @@ def open_recording(path: str | Path, cameras: Sequence[str] | None = None) -> Re
         known = ", ".join(sorted(p.parent.name for p in LAB.glob("*/rig.yaml")))
         raise ValueError(f"{path}: no such recording folder (data/lab has {known})")
     rig = Rig.load(folder / "rig.yaml").select(cameras)
-    sources: dict[str, Path | tuple[Path, ...]] = {}
+    sources: dict[str, Path | tuple[Path | None, ...]] = {}
     numbers: dict[str, tuple[int, ...]] = {}
-    fps = read_yaml(folder / "rig.yaml").get("fps")
+    fps, named = read_yaml(folder / "rig.yaml").get("fps"), True
     for name in rig.cameras:
         pictures = _pictures(folder / "frames" / name)
         video = next((p for s in VIDEO_SUFFIXES if (p := folder / "frames" / f"{name}{s}").is_file()), None)
         if pictures:
             sources[name], numbers[name] = tuple(pictures), _numbers(pictures)
+            named &= numbers[name] == tuple(_number(path) for path in pictures)
         elif video is not None:
             count, video_fps = _video_length(video)
-            sources[name], numbers[name] = video, tuple(range(count))
+            sources[name], numbers[name], named = video, tuple(range(count)), False
             fps = video_fps if fps is None else fps
         else:
             raise ValueError(f"{folder}: no frames for camera {name!r} (expected frames/{name}/*.png|jpg or .mp4|avi)")
     if any(isinstance(source, Path) for source in sources.values()):  # a video has no names, so its index is the number
         numbers = {name: tuple(range(len(frames))) for name, frames in numbers.items()}
-    first, *others = numbers
-    for other in others:
-        if numbers[other] != numbers[first]:
-            raise ValueError(
-                f"{folder}: views of different length or names: {first} has {_span(numbers[first])}, "
-                f"{other} has {_span(numbers[other])}"
-            )
+    most = max(numbers, key=lambda name: len(numbers[name]))
+    frames = numbers[most]
+    for name, own in numbers.items():
+        if own != frames and not (named and _has_gaps(own, frames)):
+            views = ", ".join(f"{each} has {_span(numbers[each])}" for each in numbers if each in (name, most))
+            raise ValueError(f"{folder}: views of different length or names: {views}")
+        source = sources[name]
+        if own != frames and isinstance(source, tuple):
+            paths = dict(zip(own, source, strict=True))
+            sources[name] = tuple(paths.get(frame) for frame in frames)
     fps = DEFAULT_FPS if fps is None else fps
     if not isinstance(fps, int | float) or isinstance(fps, bool) or not 1e-6 < fps < 1e6:
         raise ValueError(f"{folder / 'rig.yaml'}: fps: expected frames a second > 0, got {repr(fps)[:40]}")
-    return Recording(folder, rig, numbers[first], float(fps), sources)
+    return Recording(folder, rig, frames, float(fps), sources)
 
 
 def parse_frames(text: str, frames: Sequence[int]) -> list[int]:
@@ -312,6 +324,11 @@ def _numbers(pictures: Sequence[Path]) -> tuple[int, ...]:
     return tuple(n for n in numbers if n is not None)
 
 
+def _has_gaps(numbers: Sequence[int], whole: Sequence[int]) -> bool:
+    """Whether a camera that took part from the start only missed some of the instants, at most half."""
+    return set(numbers) < set(whole) and numbers[0] == whole[0] and 2 * len(numbers) >= len(whole)
+
+
 def _span(numbers: Sequence[int]) -> str:
     return f"{len(numbers)} frames ({numbers[0]} to {numbers[-1]})" if numbers else "0 frames"
 
@@ -327,9 +344,11 @@ def _video_length(path: Path) -> tuple[int, float]:
     return count, fps or DEFAULT_FPS
 
 
-def _reader(source: Path | tuple[Path, ...], frames: Sequence[int], wanted: set[int]) -> Iterator[Image]:
+def _reader(source: Path | tuple[Path | None, ...], frames: Sequence[int], wanted: set[int]) -> Iterator[Image | None]:
     if isinstance(source, tuple):
-        yield from (read_image(p) for frame, p in zip(frames, source, strict=True) if frame in wanted)
+        yield from (
+            None if p is None else read_image(p) for frame, p in zip(frames, source, strict=True) if frame in wanted
+        )
         return
     video = cv2.VideoCapture(str(source))
     try:

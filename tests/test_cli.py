@@ -265,6 +265,34 @@ def test_evaluate_as_a_table(tiny_recording: Path, tmp_path: Path, capsys: pytes
     table = dict(line.split() for line in capsys.readouterr().out.splitlines())
     assert table["recall"] == "0"
     assert table["error_mean_m"] == "-"  # undefined, not NaN
+    assert {"ghosts_per_frame", "hidden_precision", "hidden_recall"} <= set(table)
+
+
+@pytest.mark.parametrize(
+    ("fractions", "options", "expected"),
+    [
+        (({"left": 1.0, "right": 0.9}, {"left": 0.89}), [], (0.5, 0.5)),
+        (({"left": 1.0, "right": 0.9}, {"left": 0.89}), ["--roi", "west"], (1.0, 0.5)),
+        (({"left": 1.0, "right": 0.9}, {"left": 0.89}), ["--radius", "0.05"], (None, 0.0)),
+        (({}, {}), [], (None, None)),
+    ],
+)
+def test_evaluate_scores_who_is_said_to_be_hidden(
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    fractions: Sequence[dict[str, float]],
+    options: Sequence[str],
+    expected: tuple[float | None, float | None],
+) -> None:
+    objects = [{"id": i, "x": 2 * i + 0.1, "y": 0, "hidden_in": ["left"]} for i in range(3)]
+    true = [{"id": i, "x": 2 * i, "y": 0, "hidden_fraction": known} for i, known in enumerate(fractions)]
+    west = [[-1, -1], [1, -1], [1, 1], [-1, 1]]
+    (tmp_path / "objects.jsonl").write_text(json.dumps({"frame": 0, "objects": objects}))
+    (tmp_path / "truth.json").write_text(json.dumps({"frames": {"0": true}, "roi": {"west": west}}))
+    assert main(["evaluate", str(tmp_path / "objects.jsonl"), str(tmp_path / "truth.json"), "--json", *options]) == 0
+    score = json.loads(capsys.readouterr().out)
+    assert (score["hidden_precision"], score["hidden_recall"]) == expected
+    assert score["ghosts_per_frame"] == score["fp"]
 
 
 GOOD = '{"frame": 0, "objects": [{"id": 1, "x": 1, "y": 1}]}\n'

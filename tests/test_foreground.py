@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import io
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -28,7 +30,10 @@ from occlib.foreground import (
     threshold_level,
     to_grey,
     triangle_threshold,
+    update_background,
+    weighted_median,
 )
+from occlib.recordings import open_recording
 
 Pixels = np.ndarray[Any, np.dtype[np.uint8]]
 HEIGHT, WIDTH = 120, 160
@@ -285,6 +290,202 @@ def test_very_few_frames_still_give_a_background(count: int) -> None:
     assert np.isfinite(background.noise)
     assert (background.image[:20] == 100).all()
     assert set(np.unique(background.image[40:80, 50:110])) <= {100, 200}
+    assert background.spread is not None and np.isfinite(background.spread).all()
+    assert (background.spread[:20] == 0).all()
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 7), (3, 5), (9, 2), (40, 33)])
+@pytest.mark.parametrize("count", [1, 2, 3, 20])
+def test_tiny_pictures_have_a_background_too(shape: tuple[int, int], count: int) -> None:
+    rng = np.random.default_rng(6)
+    background = learn_background([noisy(np.full((*shape, 3), 120, np.uint8), 2.0, rng) for _ in range(count)])
+    assert background.image.shape == (*shape, 3) and background.image.dtype == np.uint8
+    assert np.abs(background.image.astype(int) - 120).max() <= 8
+    assert background.spread is not None and background.spread.shape == shape
+
+
+def naive_weighted_median(values: Pixels, weights: Pixels) -> Pixels:
+    """Sort, add up the weights, take the first value at which half of them is reached."""
+    result = np.full(values.shape[1:], 255, np.uint8)
+    for place in np.ndindex(*result.shape):
+        column = [slice(None), *place]
+        order = np.argsort(values[tuple(column)], kind="stable")
+        summed = np.cumsum(weights[tuple(column)][order].astype(int))
+        if summed[-1]:
+            result[place] = values[tuple(column)][order][np.argmax(2 * summed >= summed[-1])]
+    return result
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    count=st.integers(1, 70),
+    top=st.sampled_from([0, 1, 15]),
+    levels=st.sampled_from([2, 20, 256]),
+    seed=st.integers(0, 999),
+)
+def test_the_weighted_median_agrees_with_sorting(count: int, top: int, levels: int, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    values = rng.integers(256 - levels, 256, (count, 4, 5), dtype=np.uint8)
+    weights = rng.integers(0, top + 1, values.shape, dtype=np.uint8)
+    np.testing.assert_array_equal(weighted_median(values, weights), naive_weighted_median(values, weights))
+
+
+def test_the_weighted_median_is_the_median_for_equal_weights_and_many_samples() -> None:
+    values = np.random.default_rng(7).integers(0, 256, (601, 5, 6), dtype=np.uint8)
+    for weight in (1, 15):
+        median = weighted_median(values, np.full_like(values, weight))
+        np.testing.assert_array_equal(median, np.median(values, axis=0))
+
+
+def large_floor() -> Pixels:
+    return as_uint8(cv2.resize(textured_floor(), (320, 240), interpolation=cv2.INTER_CUBIC))
+
+
+def swaying_frames(standing: int, *, count: int = 60) -> tuple[list[Pixels], np.ndarray[Any, Any]]:
+    """Somebody textured walks in from the left, stands for ``standing`` frames, swaying by a pixel or two, walks on.
+    Another walks about on the other side all the time."""
+    rng = np.random.default_rng(8)
+    floor = large_floor()
+    coat = as_uint8(np.array([60, 45, 40]) + rng.normal(0, 14, (70, 28, 3)))
+    other = as_uint8(np.array([190, 60, 60]) + rng.normal(0, 10, (60, 24, 3)))
+    frames, place = [], np.zeros((240, 320), bool)
+    place[80:160, 60:100] = True
+    first = (count - standing) // 2
+    for k in range(count):
+        frame = floor.copy()
+        if k < first:
+            left = round(66 * k / first)
+        elif k < first + standing:
+            left = 66 + int(rng.integers(-2, 3))
+        else:
+            left = 66 + round(226 * (k - first - standing) / (count - first - standing))
+        frame[85:155, left : left + 28] = coat
+        x = round(150 + 140 * abs(np.sin(0.9 * k)))
+        frame[170:230, x : x + 24] = other
+        frames.append(noisy(frame, 1.5, rng))
+    return frames, place
+
+
+@pytest.mark.parametrize("standing", [11, 22, 36])
+def test_the_floor_is_learned_below_one_who_stands_and_sways(standing: int) -> None:
+    frames, place = swaying_frames(standing)  # 11 of 60 frames are 5 s of 27 s
+    floor = large_floor()
+    background = learn_background(frames)
+    error = cv2.blur(cv2.absdiff(background.image, floor), (3, 3)).max(axis=2)
+    assert error[place].max() <= 3
+    assert np.median(error) <= 1 and (error > 3).mean() < 0.002
+    if standing > 30:
+        assert np.abs(np.median(frames, axis=0) - floor)[place].mean() > 20  # here the plain median fails
+    assert background.spread is not None  # nor does the spread count him
+    assert np.median(background.spread[place]) == pytest.approx(1.5, abs=1.0) and background.spread[place].max() < 12
+
+
+def test_frames_under_changing_light_give_a_background_of_one_light() -> None:
+    rng = np.random.default_rng(9)
+    frames, _ = crowded_frames(0.4)
+    lit = [relit(frame, *rng.choice([(0.8, 10.0), (1.0, 0.0), (1.2, -10.0)])) for frame in frames]
+    background = learn_background(lit)
+    again = adjust_intensity(background.image, textured_floor())
+    assert (np.abs(again.astype(int) - textured_floor()).max(axis=2) > 8).mean() < 0.002
+
+
+def test_the_spread_is_the_noise_of_each_place() -> None:
+    rng = np.random.default_rng(10)
+    floor = textured_floor()
+    sigma = np.full((HEIGHT, WIDTH, 1), 2.0)
+    sigma[20:60, 30:90] = 8.0
+    frames = [as_uint8(floor + rng.normal(0, 1, floor.shape) * sigma) for _ in range(60)]
+    for background in (average_background(frames), learn_background(frames)):
+        spread = background.spread
+        assert spread is not None and spread.dtype == np.float32 and spread.shape == (HEIGHT, WIDTH)
+        assert 2.0 <= spread[70:].mean() < 2.9  # of three channels the largest
+        assert 7.5 < spread[25:55, 35:85].mean() < 10.5
+    assert average_background(frames[:1]).spread is None
+
+
+@pytest.mark.parametrize("count", [2, 3, 5, 8, 9])
+def test_the_spread_of_few_pictures_is_the_median_absolute_deviation(count: int) -> None:
+    stack = np.random.default_rng(11).integers(0, 256, (count, 6, 9, 3), dtype=np.uint8)
+    centre = np.sort(stack, axis=0)[(count - 1) // 2].astype(float)
+    expected = 1.4826 * np.median(np.abs(stack - centre), axis=0).max(axis=-1)
+    spread = average_background(list(stack)).spread
+    assert spread is not None
+    np.testing.assert_allclose(spread, expected, rtol=1e-6)
+
+
+FLOOR_WINDOWS = [  # camera, x, y, width, height, samples of 60 in which the place was seen to be empty
+    ("cam1", 355, 285, 70, 90, [2, 3, 4, 5, 6, 7, 8]),
+    ("cam1", 560, 300, 120, 100, [3, 4, 5, 6, 7, 8, 9]),
+    ("cam2", 570, 330, 80, 200, [3, 4, 5, 6, 7, 8]),
+    ("cam2", 800, 420, 120, 100, [10, 11, 12, 13, 15, 16, 17]),
+    ("cam3", 885, 330, 60, 60, [0, 38, 39, 40, 52, 57]),
+    ("cam3", 560, 300, 120, 100, [2, 3, 4, 5, 9, 10, 11, 12]),
+]
+
+
+def test_ufes_lab_nobody_stands_on_the_learned_floor(shared_data: Callable[[str], Path]) -> None:
+    pictures = open_recording(shared_data("ufes-lab"), ["cam1", "cam2", "cam3"]).sample(60)
+    learned = {name: learn_background(frames).image for name, frames in pictures.items()}
+    ghosts = 0
+    for camera, x, y, width, height, samples in FLOOR_WINDOWS:
+        window = np.s_[y : y + height, x : x + width]
+        empty = cv2.blur(np.median([pictures[camera][k][window] for k in samples], axis=0), (5, 5))
+        error = np.abs(cv2.blur(learned[camera][window], (5, 5)) - empty).max(axis=2)
+        assert np.percentile(error, 99) < 12 and error.mean() < 6, (camera, x, y)
+        plain = np.median([frame[window] for frame in pictures[camera]], axis=0)
+        ghosts += np.percentile(np.abs(cv2.blur(plain, (5, 5)) - empty).max(axis=2), 99) > 30
+    assert ghosts >= 2  # in the plain median, people do
+
+
+# --- following slow changes ------------------------------------------------------------------------------
+@pytest.mark.parametrize("rate", [0.001, 0.02, 0.3])
+@pytest.mark.parametrize("change", [-3, 1, 40])
+def test_updates_converge_at_any_rate_and_are_frozen_in_the_foreground(rate: float, change: int) -> None:
+    floor = textured_floor()
+    frame = as_uint8(floor.astype(int) + change)
+    foreground = np.zeros((HEIGHT, WIDTH), bool)
+    foreground[30:60, 40:80] = True
+    first = background = Background(floor, 2.0, np.ones((HEIGHT, WIDTH), np.float32))
+    kept = floor.copy(), frame.copy(), foreground.copy()
+    steps = int(np.ceil(np.log(0.01) / np.log1p(-rate)))
+    for step in range(steps):
+        background = update_background(background, frame, foreground, rate=rate)
+        if step == steps // 2:  # what is left of the change is as planned, not stalled
+            left = (1 - rate) ** (step + 1) * change
+            outside = (frame.astype(int) - background.image)[~foreground]
+            assert np.abs(outside - left).max() <= 0.51
+    np.testing.assert_array_equal(background.image[~foreground], frame[~foreground])
+    np.testing.assert_array_equal(background.image[foreground], floor[foreground])
+    assert background.image.dtype == np.uint8 and (background.noise, background.spread) == (2.0, first.spread)
+    assert first.unrounded is None
+    for now, then in zip((floor, frame, foreground), kept, strict=True):
+        np.testing.assert_array_equal(now, then)
+
+
+def test_an_update_leaves_the_background_before_it_alone() -> None:
+    floor, nobody = textured_floor(), np.zeros((HEIGHT, WIDTH), bool)
+    one = update_background(Background(floor), textured_floor(1), nobody, rate=0.5)
+    assert one.unrounded is not None
+    image, levels = one.image.copy(), one.unrounded.copy()
+    update_background(one, textured_floor(2), nobody, rate=0.5)
+    np.testing.assert_array_equal(one.image, image)
+    np.testing.assert_array_equal(one.unrounded, levels)
+
+
+def test_wrong_arguments_of_an_update_are_named() -> None:
+    floor = textured_floor()
+    background, nobody = Background(floor), np.zeros((HEIGHT, WIDTH), bool)
+    with pytest.raises(ValueError, match=r"image: expected uint8 \(120, 160, 3\), got float64"):
+        update_background(background, floor.astype(float), nobody)
+    with pytest.raises(ValueError, match="image: expected uint8"):
+        update_background(background, floor[:50], nobody)
+    with pytest.raises(ValueError, match=r"foreground: expected bool \(120, 160\), got bool \(50, 160\)"):
+        update_background(background, floor, nobody[:50])
+    with pytest.raises(ValueError, match="foreground: expected bool"):
+        update_background(background, floor, nobody.astype(np.uint8))
+    for rate in (-0.1, 1.5, np.nan):
+        with pytest.raises(ValueError, match="rate: expected a share from 0 to 1"):
+            update_background(background, floor, nobody, rate=rate)
 
 
 # --- files ---------------------------------------------------------------------------------------------
@@ -294,7 +495,12 @@ def test_a_saved_background_reads_back_equal(tmp_path: Path) -> None:
     again = Background.load(path)
     np.testing.assert_array_equal(again.image, background.image)
     assert again.image.dtype == np.uint8 and again.noise == 2.25
+    assert again.spread is None  # as in files of before there was one
     assert [p.name for p in path.parent.iterdir()] == ["left.npz"]  # nothing temporary stays
+    spread = np.random.default_rng(12).random((HEIGHT, WIDTH), dtype=np.float32)
+    again = Background.load(Background(background.image, 2.25, spread).save(path))
+    np.testing.assert_array_equal(again.spread, spread)
+    assert again.spread is not None and again.spread.dtype == np.float32
 
 
 def archive(**fields: Any) -> bytes:
@@ -322,6 +528,9 @@ DAMAGED = {
     "negative noise": archive(image=np.zeros((2, 2, 3), np.uint8), noise=-1.0),
     "grey": archive(image=np.zeros((2, 2), np.uint8), noise=1.0),
     "floats": archive(image=np.zeros((2, 2, 3)), noise=1.0),
+    "another spread": archive(image=np.zeros((2, 2, 3), np.uint8), noise=1.0, spread=np.zeros((2, 3), np.float32)),
+    "spread of bytes": archive(image=np.zeros((2, 2, 3), np.uint8), noise=1.0, spread=np.zeros((2, 2), np.uint8)),
+    "spread NaN": archive(image=np.zeros((2, 2, 3), np.uint8), noise=1.0, spread=np.full((2, 2), np.nan, np.float32)),
 }
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import json
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,15 @@ from hypothesis import strategies as st
 
 from occlib import metrics
 from occlib.geometry import Floor
-from occlib.metrics import evaluate, inside_polygon, match_points, match_points_naive
+from occlib.metrics import (
+    evaluate,
+    evaluate_hidden,
+    free_space_blocked,
+    ghost_lifetimes,
+    inside_polygon,
+    match_points,
+    match_points_naive,
+)
 
 UFES = Path(__file__).parents[2] / "shared/data" / "ufes-lab"
 SQUARE: list[list[float]] = [[0, 0], [1, 0], [1, 1], [0, 1]]
@@ -57,6 +66,7 @@ def test_planted_score_by_hand() -> None:
     assert (score.precision, score.recall) == (pytest.approx(2 / 4), pytest.approx(2 / 3))
     assert score.f1 == pytest.approx(2 * 0.5 * (2 / 3) / (0.5 + 2 / 3))
     assert score.error_mean_m == pytest.approx(0.2)
+    assert score.ghosts_per_frame == pytest.approx(2 / 3)  # the empty third frame counts
     assert evaluate({0: [[0.1, 0]]}, truth_of([(0, 0)])).error_median_m == pytest.approx(0.1)
 
 
@@ -78,6 +88,7 @@ def test_undefined_scores_are_none_and_json_has_no_nan() -> None:
         text = json.dumps(score.to_dict(), allow_nan=False)
         assert json.loads(text)["modp"] is None
     assert evaluate({}, truth_of([])).moda is None
+    assert (evaluate({}, truth_of([])).ghosts_per_frame, evaluate({}, truth_of()).ghosts_per_frame) == (0.0, None)
     assert evaluate({}, truth_of([(0, 0)])).moda == 0.0
 
 
@@ -130,12 +141,230 @@ def test_recall_by_hidden_fraction_uses_the_worst_view() -> None:
         metrics.recall_by_hidden_fraction(detections, truth, edges=(1, 0))
 
 
+def test_best_below_keeps_what_one_view_lost_and_another_sees() -> None:
+    states: list[dict[str, float]] = [
+        {"left": 1.0, "right": 0.0},  # lost by one, seen by the other
+        {"left": 0.2, "right": 0.9},  # at the threshold: lost
+        {"left": 1.0, "right": 0.9},  # lost by both
+        {"left": 1.0},  # outside the right picture: not seen there
+        {"left": 0.0, "right": 0.0},  # plain
+        {},  # nothing known
+    ]
+    truth = {"frames": {"0": [{"x": 2 * i, "y": 0, "hidden_fraction": s} for i, s in enumerate(states)]}}
+    detections = {0: [[0, 0], [4, 0], [6, 0], [8, 0]]}
+
+    def lost_by_one(**options: Any) -> tuple[Any, Any]:
+        (row,) = metrics.recall_by_hidden_fraction(detections, truth, edges=(0.9, 1.0), **options)
+        return row["count"], row["recall"]
+
+    assert lost_by_one() == (4, 3 / 4)
+    assert lost_by_one(best_below=0.9) == (2, 1 / 2)
+    assert lost_by_one(best_below=0.9, cameras=["left", "right"]) == (2, 1 / 2)
+    assert lost_by_one(best_below=0.9, cameras=["left"]) == (0, None)
+    assert lost_by_one(best_below=0.2) == (1, 1.0)  # strictly below
+    (seen,) = metrics.recall_by_hidden_fraction(detections, truth, edges=(0, 1), best_below=0.9)
+    assert seen["count"] == 3  # without a known fraction no view is known to see it
+    for wrong in (0.0, 1.1, float("nan")):
+        with pytest.raises(ValueError, match=r"best_below: expected a fraction in \(0, 1\], got"):
+            lost_by_one(best_below=wrong)
+    with pytest.raises(ValueError, match="cameras: expected a sequence of names, got 'left'"):
+        lost_by_one(cameras="left")
+
+
+# --- ghosts ----------------------------------------------------------------------------------------
+def with_ids(*frames: str) -> dict[int, list[dict[str, Any]]]:
+    """Detections by id, in frames 0, 10, 20 ...: small letters are far from any truth, capitals stand on A at the origin."""
+    return {10 * i: [{"id": n.lower(), "x": 9 if n.islower() else 0, "y": 0} for n in f] for i, f in enumerate(frames)}
+
+
+def truth_in(frames: int) -> dict[str, Any]:
+    return {"frames": {str(10 * i): [{"id": "A", "x": 0, "y": 0}] for i in range(frames)}}
+
+
+def ghost_lifetimes_naive(frames: list[set[str]]) -> list[int]:
+    """The runs of each id one after the other, then put in order of their first frame."""
+    runs = []
+    for name in set().union(*frames):
+        start = 0
+        for is_ghost, group in groupby(name in frame for frame in frames):
+            length = len(list(group))
+            runs += [(start, name, length)] if is_ghost else []
+            start += length
+    return [length for _, _, length in sorted(runs)]
+
+
+@pytest.mark.parametrize(
+    ("frames", "lengths"),
+    [
+        (["a", "a", "a"], [3]),
+        (["a", "", "a"], [1, 1]),  # absent: the run ends
+        (["a", "A", "a", "a"], [1, 2]),  # matched: the run ends
+        (["a", "ba", "b"], [2, 2]),
+        (["b", "ab", "a", "b"], [2, 2, 1]),  # by first appearance, not by id or length
+        (["a", "b"], [1, 1]),  # the same place under another id is another ghost
+        (["A", "A"], []),
+        (["aa", "a"], [2]),  # an id that comes twice counts once a frame
+        ([], []),
+    ],
+)
+def test_ghost_lifetimes_with_ids(frames: list[str], lengths: list[int]) -> None:
+    assert ghost_lifetimes(with_ids(*frames), truth_in(len(frames))) == lengths
+
+
+@settings(max_examples=100, deadline=None)
+@given(st.lists(st.sets(st.sampled_from("abc")), max_size=7))
+def test_ghost_lifetimes_agree_with_the_naive_ones(frames: list[set[str]]) -> None:
+    detections = with_ids(*map("".join, map(sorted, frames)))
+    lengths = ghost_lifetimes(detections, truth_in(len(frames)))
+    assert lengths == ghost_lifetimes_naive(frames)
+    assert sum(lengths) == evaluate(detections, truth_in(len(frames))).fp
+
+
+def test_ghosts_without_ids_are_linked_by_place() -> None:
+    truth = truth_of([], [], [])
+    assert ghost_lifetimes({0: [[0, 0]], 1: [[0.4, 0]], 2: [[0.8, 0]]}, truth) == [3]  # step by step
+    assert ghost_lifetimes({0: [[0, 0]], 1: [[0.5, 0]]}, truth) == [1, 1]  # exactly the radius
+    assert ghost_lifetimes({0: [[0, 0]], 1: [[0.5, 0]]}, truth, radius=0.6) == [2]
+    assert ghost_lifetimes({0: [[0, 0]], 2: [[0, 0]]}, truth) == [1, 1]  # not over a gap
+    assert ghost_lifetimes({0: [[0, 0]], 1: [[0.1, 0], [0.2, 0]]}, truth) == [2, 1]  # one heir only
+    assert ghost_lifetimes({0: [[0, 0]], 1: [[0.2, 0], [0.1, 0]], 2: [[0.1, 0]]}, truth) == [3, 1]  # the nearest
+    # One without an id: all are linked by place, so the change of id does not end the run.
+    mixed = {0: [{"id": 1, "x": 0, "y": 0}], 1: [{"id": 2, "x": 0, "y": 0}], 2: [{"id": None, "x": 5, "y": 0}]}
+    assert ghost_lifetimes(mixed, truth) == [2, 1]
+    assert ghost_lifetimes({**mixed, 2: []}, truth) == [1, 1]
+
+
+@settings(max_examples=100, deadline=None)
+@given(st.lists(POINTS, max_size=5), st.lists(POINTS, min_size=5, max_size=5))
+def test_ghost_frames_add_up_to_the_false_positives(
+    found: list[list[tuple[float, float]]], true: list[list[tuple[float, float]]]
+) -> None:
+    detections = dict(enumerate(found))
+    lengths = ghost_lifetimes(detections, truth_of(*true), radius=0.3)
+    assert sum(lengths) == evaluate(detections, truth_of(*true), radius=0.3).fp
+    assert all(1 <= length <= len(found) for length in lengths)
+
+
+def test_ghosts_count_in_truth_frames_and_inside_the_region_only() -> None:
+    truth = {**truth_in(3), "roi": {"square": SQUARE}}
+    steps = {0: 0.9, 5: 0.9, 10: 0.9, 20: 1.1}  # frame 5 has no truth; outside in frame 20
+    detections = {frame: [{"id": 1, "x": x, "y": 0.9}] for frame, x in steps.items()}
+    assert ghost_lifetimes(detections, truth) == [3]
+    assert ghost_lifetimes(detections, truth, roi="square") == [2]
+    with pytest.raises(ValueError, match="roi: 'hall' is not in the truth, which has square"):
+        ghost_lifetimes(detections, truth, roi="hall")
+    with pytest.raises(ValueError, match="radius: expected metres > 0, got -1"):
+        ghost_lifetimes(detections, truth, radius=-1)
+
+
+# --- occlusion state -------------------------------------------------------------------------------
+CAMERAS = ("left", "right", "third")
+FRACTIONS = st.dictionaries(st.sampled_from(CAMERAS), st.sampled_from([0.0, 0.5, 0.9, 1.0]))
+REPORTS = st.one_of(st.none(), st.sets(st.sampled_from(CAMERAS)))  # None: the object was lost
+
+
+def hidden_case(*objects: tuple[dict[str, float], Any]) -> tuple[dict[int, list[Any]], dict[str, Any]]:
+    """Objects 2 m apart as (hidden fractions, cameras reported or None for a lost one) -> detections, truth."""
+    truth = [{"x": 2 * i, "y": 0, "hidden_fraction": fractions} for i, (fractions, _) in enumerate(objects)]
+    found = [{"x": 2 * i + 0.1, "y": 0, "hidden_in": sorted(r)} for i, (_, r) in enumerate(objects) if r is not None]
+    return {0: found[::-1]}, {"frames": {"0": truth}}
+
+
+def test_planted_hidden_score_by_hand() -> None:
+    detections, truth = hidden_case(
+        ({"left": 1.0, "right": 0.0}, {"left"}),  # tp, true negative
+        ({"left": 0.9, "right": 0.89}, {"right"}),  # fn: from the threshold on; fp: just below it
+        ({"left": 1.0, "right": 0.0}, None),  # lost: fn, and nothing to compare
+        ({"left": 0.0}, {"left", "right"}),  # fp; right is unknown
+        ({}, {"left"}),  # unknown altogether
+    )
+    detections[0].append({"x": 50, "y": 0, "hidden_in": ["left"]})  # a ghost has no true state
+    score = evaluate_hidden(detections, truth)
+    assert (score.tp, score.fp, score.fn, score.compared) == (1, 2, 2, 5)
+    assert (score.precision, score.recall, score.f1) == (1 / 3, 1 / 3, 1 / 3)
+    left = evaluate_hidden(detections, truth, cameras=["left"])
+    assert (left.tp, left.fp, left.fn, left.compared) == (1, 1, 2, 3)
+    assert (left.precision, left.recall, left.f1) == (1 / 2, 1 / 3, 2 / 5)
+    strict = evaluate_hidden(detections, truth, hidden=0.95)
+    assert (strict.tp, strict.fp, strict.fn) == (1, 2, 1)
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.lists(st.tuples(FRACTIONS, REPORTS), max_size=5), st.sets(st.sampled_from(CAMERAS)))
+def test_hidden_score_agrees_with_sets(objects: list[tuple[dict[str, float], Any]], cameras: set[str]) -> None:
+    known = {(i, name) for i, (fractions, _) in enumerate(objects) for name in fractions if name in cameras}
+    hidden = {(i, name) for i, name in known if objects[i][0][name] >= 0.9}
+    reported = {(i, name) for i, name in known if name in (objects[i][1] or ())}
+    score = evaluate_hidden(*hidden_case(*objects), cameras=sorted(cameras))
+    assert (score.tp, score.fp, score.fn) == (
+        len(hidden & reported),
+        len(reported - hidden),
+        len(hidden - reported),
+    )
+    assert score.compared == sum(objects[i][1] is not None for i, _ in known)
+    assert score.precision == (len(hidden & reported) / len(reported) if reported else None)
+    assert score.recall == (len(hidden & reported) / len(hidden) if hidden else None)
+
+
+def test_hidden_score_is_none_where_undefined() -> None:
+    plain = evaluate_hidden(*hidden_case(({"left": 0.0}, set())))
+    assert (plain.precision, plain.recall, plain.f1, plain.compared) == (None, None, None, 1)
+    detections, truth = {0: [{"x": 0, "y": 0, "hidden_in": ["left"]}]}, truth_of([(0, 0)])
+    unknown = evaluate_hidden(detections, truth)
+    assert (unknown.precision, unknown.recall, unknown.f1, unknown.compared) == (None, None, None, 0)
+    silent = evaluate_hidden({0: [[0, 0]]}, hidden_case(({"left": 1.0}, None))[1])  # points say nothing
+    assert (silent.precision, silent.recall, silent.f1, silent.compared) == (None, 0.0, 0.0, 1)
+
+
+def test_hidden_score_respects_region_and_radius() -> None:
+    detections, truth = hidden_case(({"left": 1.0}, {"left"}), ({"left": 1.0}, {"left"}))
+    truth["roi"] = {"square": [[-1, -1], [1, -1], [1, 1], [-1, 1]]}
+    assert evaluate_hidden(detections, truth).tp == 2
+    assert evaluate_hidden(detections, truth, roi="square").tp == 1
+    near = evaluate_hidden(detections, truth, radius=0.05)
+    assert (near.tp, near.fn, near.compared) == (0, 2, 0)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"hidden": 0.0}, r"hidden: expected a fraction in \(0, 1\], got 0.0"),
+        ({"hidden": 90}, r"hidden: expected a fraction in \(0, 1\], got 90"),
+        ({"hidden": float("nan")}, r"hidden: expected a fraction in \(0, 1\], got nan"),
+        ({"cameras": "left"}, "cameras: expected a sequence of names, got 'left'"),
+        ({"roi": "hall"}, "roi: 'hall' is not in the truth, which has none"),
+        ({"radius": 0}, "radius: expected metres > 0, got 0"),
+        (
+            {"detections": {0: [{"x": 0, "y": 0, "hidden_in": "left"}]}},
+            r"detections\[0\]\[0\].hidden_in: expected a list of cameras, got left",
+        ),
+        ({"truth": {"frames": {"0": [{"x": 0, "y": 0, "hidden_fraction": [1]}]}}}, "truth.hidden_fraction: expected a"),
+    ],
+)
+def test_hidden_score_names_wrong_arguments(change: dict[str, Any], message: str) -> None:
+    arguments = {"detections": {}, "truth": truth_of([(0, 0)]), **change}
+    with pytest.raises(ValueError, match=message):
+        evaluate_hidden(arguments.pop("detections"), arguments.pop("truth"), **arguments)
+
+
 def test_inputs_are_unchanged_and_the_result_repeats() -> None:
     truth = {**truth_of([(0.2, 0.2), (2, 0)]), "roi": {"square": SQUARE}}
     detections = {0: np.array([[0.1, 0.0], [3, 3]])}
     before = copy.deepcopy((truth, detections[0].tolist()))
     assert evaluate(detections, truth, roi="square") == evaluate(detections, truth, roi="square")
     assert (truth, detections[0].tolist()) == before
+
+
+def test_ghosts_and_hidden_scores_leave_their_inputs_unchanged() -> None:
+    detections, truth = hidden_case(({"left": 1.0, "right": 0.0}, {"left"}), ({"left": 0.0}, None))
+    before = copy.deepcopy((detections, truth))
+    for score in (
+        evaluate_hidden,
+        ghost_lifetimes,
+        lambda d, t: metrics.recall_by_hidden_fraction(d, t, best_below=0.9),
+    ):
+        assert score(detections, truth) == score(detections, truth)  # type: ignore[operator]
+        assert (detections, truth) == before
 
 
 @pytest.mark.parametrize(
@@ -184,6 +413,38 @@ def test_coverage_and_claimed_area_of_a_planted_map() -> None:
         metrics.footprint_coverage(occupied.astype(np.int64), floor, [left])  # type: ignore[arg-type]
 
 
+def test_free_space_blocked_of_a_planted_map() -> None:
+    floor = Floor((0, 1), (0, 1), 0.1)
+    occupied = np.zeros(floor.shape, bool)
+    occupied[:, :5] = True  # x < 0.5
+    left = np.array([[0, 0], [0.3, 0], [0.3, 1], [0, 1]])
+    full = np.array([[-1, -1], [2, -1], [2, 2], [-1, 2]])
+    before = occupied.copy()
+    assert free_space_blocked(occupied, floor, [left]) == pytest.approx(20 / 70)
+    assert free_space_blocked(occupied, floor, [left, left]) == pytest.approx(20 / 70)  # overlaps count once
+    assert free_space_blocked(occupied, floor, []) == 0.5
+    assert free_space_blocked(occupied, floor, [full]) is None
+    assert free_space_blocked(floor.polygon_mask(left), floor, [left]) == 0.0
+    assert np.array_equal(occupied, before)
+    with pytest.raises(ValueError, match=r"occupied: expected bool \(10, 10\), got int64"):
+        free_space_blocked(occupied.astype(np.int64), floor, [left])  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match=r"occupied: expected bool \(10, 10\), got bool \(10, 9\)"):
+        free_space_blocked(occupied[:, :9], floor, [left])
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.lists(st.booleans(), min_size=12, max_size=12), st.lists(st.tuples(*[st.floats(0, 4)] * 4), max_size=3))
+def test_free_space_blocked_agrees_with_a_count_of_cells(
+    cells: list[bool], corners: list[tuple[float, float, float, float]]
+) -> None:
+    floor = Floor((0, 4), (0, 3), 1.0)
+    occupied = np.array(cells).reshape(floor.shape)
+    footprints = [[[a, b], [c, b], [c, d], [a, d]] for a, b, c, d in corners]
+    masks = [floor.polygon_mask(footprint) for footprint in footprints]
+    free = [bool(occupied[i, j]) for i in range(3) for j in range(4) if not any(mask[i, j] for mask in masks)]
+    assert free_space_blocked(occupied, floor, footprints) == (sum(free) / len(free) if free else None)
+
+
 # --- files -----------------------------------------------------------------------------------------
 def test_objects_file_reads_back(tmp_path: Path) -> None:
     lines = [
@@ -219,6 +480,14 @@ GOOD = b'{"frame": 1, "objects": []}\n'
             r":1: objects\[0\].y: expected finite metres, got 2",
         ),
         (b'{"frame": 1, "objects": [7]}', r":1: objects\[0\]: expected a mapping"),
+        (
+            b'{"frame": 1, "objects": [{"x": 1, "y": 0, "hidden_in": "left"}]}',
+            r":1: objects\[0\].hidden_in: expected a list of cameras, got left",
+        ),
+        (
+            b'{"frame": 1, "objects": [{"x": 1, "y": 0, "hidden_in": [3]}]}',
+            r":1: objects\[0\].hidden_in: expected a list of cameras, got \[3\]",
+        ),
     ],
 )
 def test_malformed_objects_name_the_line(tmp_path: Path, content: bytes, message: str) -> None:
