@@ -14,12 +14,14 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
 from occlib.geometry import Image, Mask
+from occlib.kernels import compiled
 from occlib.recordings import write_file
 
 LEAST_NOISE_FLOOR = 8.0
@@ -65,6 +67,15 @@ class Background:
     def grey(self) -> Image:
         """The background as grey levels, uint8 (H, W)."""
         return to_grey(self.image)
+
+    @cached_property
+    def soft(self) -> tuple[Float32Array, Float32Array, float]:
+        """What :func:`foreground_evidence` needs: the image smoothed over 3 px, float32 (H, W, 3), its standard deviation within
+        5 px, float32 (H, W), and the noise floor of a smoothed pixel in grey levels."""
+        image = self.image.astype(np.float32)
+        mean = cv2.blur(image, (5, 5))
+        texture = np.sqrt(np.maximum(cv2.blur(image * image, (5, 5)) - mean * mean, 0)).max(axis=2)
+        return cv2.GaussianBlur(image, (3, 3), 0), texture.astype(np.float32), 3.0 * self.noise
 
     def save(self, path: str | Path) -> Path:
         """Write as ``.npz``; :meth:`load` reads it back equal."""
@@ -508,6 +519,138 @@ def foreground_mask(
     """The whole chain of section 4 for one view: adjust, subtract, smooth, threshold. Bool (H, W)."""
     difference = smooth(subtract_background(image, background, colour=colour), size=size)
     return np.asarray(difference > threshold_level(difference, threshold, noise_floor=background.noise_floor))
+
+
+SURE = 128
+"""Soft evidence of foreground from this value on is foreground (0 surely background, 255 surely foreground)."""
+
+
+@dataclass(frozen=True)
+class ShadowModel:
+    """What floor in a shadow, or under a reflection, may look like; the rest is an object (see :func:`foreground_evidence`).
+
+    Parameters
+    ----------
+    chroma
+        Change of colour, as a share of the background's brightness, that speaks for an object.
+    least_chroma
+        The same in grey levels, on a dark background.
+    darkest
+        A shadow leaves at least this share of the light.
+    bright
+        Gain of brightness, as a share, that speaks for an object.
+    least_step
+        Change of brightness in grey levels that can be told from noise.
+    texture
+        Share of the background's own contrast within 5 px that is added to the thresholds: edges tremble.
+    steepness
+        How fast evidence becomes sure on either side of a threshold.
+    """
+
+    chroma: float = 0.05
+    least_chroma: float = 8.0
+    darkest: float = 0.65
+    bright: float = 0.12
+    least_step: float = 14.0
+    texture: float = 0.15
+    steepness: float = 2.5
+
+
+def foreground_evidence(image: Image, background: Background, *, shadows: ShadowModel = ShadowModel()) -> Image:
+    """How surely each pixel shows an object, its shadow and its mirror image left out. uint8 (H, W), 128 is even odds.
+
+    A shadow scales the background's colour, ``I = alpha B``, and leaves its direction. The pixel's change is
+    split (Horprasert et al. 1999) into brightness ``alpha = I.B / B.B`` and chroma ``|I - alpha B|``; each is measured in
+    units of its threshold, and foreground is where their root of squares exceeds 1. Noise and the texture of the background
+    raise the thresholds; a median over 5 px removes what is left of either.
+
+    Parameters
+    ----------
+    image
+        uint8 RGB of the background's size; gain and offset of each channel are adjusted first.
+    background
+        The empty floor.
+    """
+    if image.shape != background.image.shape or image.dtype != np.uint8:
+        raise ValueError(f"image: expected uint8 {background.image.shape}, got {image.dtype} {image.shape}")
+    gains = np.array([channel_gain_offset(image, background.image, c) for c in range(3)], np.float32)
+    smoothed, texture, least = background.soft
+    numbers = np.array(
+        [
+            shadows.chroma,
+            max(shadows.least_chroma, 0.5 * least),
+            shadows.darkest,
+            shadows.bright,
+            max(shadows.least_step, least),
+            shadows.texture,
+            shadows.steepness,
+        ],
+        np.float32,
+    )
+    evidence = np.empty(image.shape[:2], np.uint8)
+    _evidence(cv2.GaussianBlur(image, (3, 3), 0), smoothed, texture, gains, numbers, evidence)
+    return np.asarray(cv2.medianBlur(evidence, 5))
+
+
+def channel_gain_offset(image: Image, background: Image, channel: int) -> tuple[float, float]:
+    """:func:`intensity_gain_offset` of one channel: follows auto-exposure and a white balance that drifts."""
+    return intensity_gain_offset(image[..., channel], background[..., channel])
+
+
+@compiled
+def _evidence(image: Any, background: Any, texture: Any, gains: Any, how: Any, out: Any) -> None:
+    chroma_share, least_chroma, darkest, bright, least_step, per_texture, steepness = how
+    # neither chroma nor step exceeds the change itself: most pixels are found to be background without a root
+    inverse = 1 / least_chroma**2 + 1 / (1.73 * least_step) ** 2
+    nothing = np.float32(max(1 - 1 / steepness, 0.0) ** 2 / inverse)
+    for y in range(image.shape[0]):
+        for x in range(image.shape[1]):
+            product = square = change = np.float32(0)
+            for c in range(3):
+                difference = gains[c, 0] * image[y, x, c] + gains[c, 1] - background[y, x, c]
+                change += difference * difference
+            if change < nothing:
+                out[y, x] = 0
+                continue
+            change = np.float32(0)
+            for c in range(3):
+                b = background[y, x, c]
+                i = gains[c, 0] * image[y, x, c] + gains[c, 1]
+                product += i * b
+                square += b * b
+            alpha = product / max(square, np.float32(1))
+            for c in range(3):
+                difference = gains[c, 0] * image[y, x, c] + gains[c, 1] - alpha * background[y, x, c]
+                change += difference * difference
+            level = np.sqrt(square)
+            spare = per_texture * texture[y, x]
+            chroma = np.sqrt(change) / (max(chroma_share * level, least_chroma) + spare)
+            step = (alpha - 1) * level  # in units of a grey pixel's three channels: 1.73 levels each
+            if step < 0:
+                brightness = min((1 - alpha) / (1 - darkest), -step / (np.float32(1.73) * (least_step + 2 * spare)))
+            else:
+                brightness = step / (max(bright * level, np.float32(1.73) * least_step) + 3 * spare)
+            score = np.sqrt(chroma * chroma + brightness * brightness)
+            value = np.float32(127.5) * (1 + (score - 1) * steepness)
+            out[y, x] = np.uint8(min(max(value, np.float32(0)), np.float32(255)))
+
+
+def foreground_evidence_naive(image: Image, background: Background, *, shadows: ShadowModel = ShadowModel()) -> Image:
+    """The same as :func:`foreground_evidence`, equation by equation in NumPy."""
+    gains = np.array([channel_gain_offset(image, background.image, c) for c in range(3)], np.float32)
+    smoothed, texture, least = background.soft
+    i = cv2.GaussianBlur(image, (3, 3), 0) * gains[:, 0] + gains[:, 1]
+    level = np.sqrt((smoothed**2).sum(axis=2))
+    alpha = (i * smoothed).sum(axis=2) / np.maximum(level**2, 1)
+    spare = shadows.texture * texture
+    chroma = np.sqrt(((i - alpha[..., None] * smoothed) ** 2).sum(axis=2))
+    chroma /= np.maximum(shadows.chroma * level, max(shadows.least_chroma, 0.5 * least)) + spare
+    least = 1.73 * max(shadows.least_step, least)
+    darker = np.minimum((1 - alpha) / (1 - shadows.darkest), (1 - alpha) * level / (least + 2 * 1.73 * spare))
+    brighter = (alpha - 1) * level / (np.maximum(shadows.bright * level, least) + 3 * spare)
+    score = np.hypot(chroma, np.where(alpha < 1, darker, brighter))
+    evidence = np.clip(127.5 * (1 + (score - 1) * shadows.steepness), 0, 255).astype(np.uint8)
+    return np.asarray(cv2.medianBlur(evidence, 5))
 
 
 def as_background(background: Background | npt.ArrayLike) -> Background:

@@ -178,7 +178,36 @@ class Camera:
         if -(r3 @ columns[:, 2]) < 0:  # z of the centre; r3 does not change with the sign of the columns
             columns = -columns
         u, _, vt = np.linalg.svd(np.column_stack([columns[:, 0], columns[:, 1], r3]))
-        return u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt, columns[:, 2]
+        return self._refined_pose(u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt, columns[:, 2])
+
+    def _refined_pose(self, rotation: FloatArray, translation: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """The pose that agrees best with the homography on the floor in the picture.
+
+        A homography fitted to marks is no exact pose: what is left over is spread over the picture (Levenberg-Marquardt)
+        rather than left to the algebra.
+        """
+        u, v = np.meshgrid(np.linspace(0, self.size[0] - 1, 12), np.linspace(0, self.size[1] - 1, 12))
+        pixels = np.column_stack([u.ravel(), v.ravel()])
+        floor = apply_homography(self.image_to_floor, self.undistort_points(pixels))
+        depth = floor @ rotation[2, :2] + translation[2]
+        with np.errstate(invalid="ignore"):
+            seen = (depth > 1e-9) & (np.hypot(*(floor + (rotation.T @ translation)[:2]).T) < 10 * self._elevation(rotation, translation))
+        if seen.sum() < 12:
+            return rotation, translation
+        points = np.column_stack([floor[seen], np.zeros(int(seen.sum()))])
+        ideal = points @ rotation.T + translation
+        ideal = ideal[:, :2] / ideal[:, 2:] * self.matrix[[0, 1], [0, 1]] + self.matrix[:2, 2]
+        if np.abs(self.distort_points(ideal) - pixels[seen]).max() < 0.01:  # from a pose, not from marks
+            return rotation, translation
+        turn, shift = cv2.solvePnPRefineLM(
+            points, pixels[seen], self.matrix, self.distortion, cv2.Rodrigues(rotation)[0], translation.reshape(3, 1).copy()
+        )
+        return np.asarray(cv2.Rodrigues(turn)[0], float), np.asarray(shift, float).reshape(3)
+
+    @staticmethod
+    def _elevation(rotation: FloatArray, translation: FloatArray) -> float:
+        """Height of the optical centre above the floor in m."""
+        return float(-rotation[:, 2] @ translation)
 
     @cached_property
     def centre_m(self) -> FloatArray:

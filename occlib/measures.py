@@ -39,11 +39,11 @@ from functools import partial
 from typing import Any
 
 import cv2
-import numba
 import numpy as np
 import numpy.typing as npt
 
 from occlib.geometry import FloatArray, Mask
+from occlib.kernels import compiled
 
 Array = npt.NDArray[Any]
 Measure = Callable[[Array, Array, Array], FloatArray]
@@ -60,14 +60,6 @@ EDGE_IMAGE, EDGE_TEMPLATE = 40, 100
 template can be an edge. The image's is lower, so the template's edges survive less light and some noise."""
 EDGE_MARGIN = 3
 """Template edges closer to its border (px) depend on what lies beyond the border, and are left out."""
-
-
-def _compiled(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Compile on first use and keep the result, where there is a folder to write to; else compile in each process."""
-    try:
-        return numba.njit(cache=True, nogil=True)(function)  # type: ignore[no-any-return, unused-ignore]
-    except RuntimeError:  # no place for the cache
-        return numba.njit(nogil=True)(function)  # type: ignore[no-any-return, unused-ignore]
 
 
 def unprepared(image: Array, pairs: Pairs) -> tuple[Array, Pairs]:
@@ -155,7 +147,7 @@ def _by_digits(image: Array, kernel: Array) -> Array:
     return (_by_digits(image, kernel >> high) << bits) + _by_digits(image, kernel & low)
 
 
-@_compiled
+@compiled
 def _rounded(values: Array) -> Array:  # pragma: no cover
     whole = np.empty(values.shape, np.int64)
     for r in range(values.shape[0]):
@@ -164,7 +156,7 @@ def _rounded(values: Array) -> Array:  # pragma: no cover
     return whole
 
 
-@_compiled
+@compiled
 def _window_moments(values: Array, h: int, w: int) -> tuple[Array, Array]:  # pragma: no cover
     """Sums of integers and of their squares over every window: columns first, then along the row."""
     rows, columns = values.shape[0] - h + 1, values.shape[1] - w + 1
@@ -243,7 +235,7 @@ def _float_ssd(image: Array, template: Array, mask: Array) -> FloatArray:
     return np.asarray(total, dtype=np.float64)
 
 
-@_compiled
+@compiled
 def _direct_ssd(image: Array, template: Array, mask: Array, places: Array) -> Array:  # pragma: no cover
     totals = np.zeros(len(places))
     for i in range(len(places)):
@@ -269,7 +261,7 @@ def _sad(image: Array, template: Array, mask: Array) -> FloatArray:
     return np.asarray(total / (mask.sum() * image.shape[2]), dtype=np.float64)
 
 
-@_compiled
+@compiled
 def _add_byte_differences(f: Array, t: Array, mask: Array, total: Array) -> None:  # pragma: no cover
     """Add ``sum(|t - f|)`` of every window: a template pixel against a whole row at a time, in 16 bit."""
     rows, columns = total.shape
@@ -288,7 +280,7 @@ def _add_byte_differences(f: Array, t: Array, mask: Array, total: Array) -> None
                     total[r, c] += part[c]
 
 
-@_compiled
+@compiled
 def _add_differences(f: Array, t: Array, weights: Array, total: Array) -> None:  # pragma: no cover
     """The same for int32, whose rows of differences of 16 bit numbers are summed exactly, and for float64."""
     rows, columns = total.shape
@@ -331,7 +323,7 @@ def _ncc(image: Array, template: Array, mask: Array, *, centred: bool = False) -
     return _normalised(cross, energy, own, 0.0)
 
 
-@_compiled
+@compiled
 def _add_products(
     product: Array,
     sums: Array,
@@ -355,7 +347,7 @@ def _add_products(
                 energy[r, c] += squares[r, c]
 
 
-@_compiled
+@compiled
 def _centred(product: int, one: int, other: int, n: int, wide: bool) -> float:  # pragma: no cover
     """``n product - one other`` of whole numbers, rounded once, though the terms may pass 64 bit.
 
@@ -369,7 +361,7 @@ def _centred(product: int, one: int, other: int, n: int, wide: bool) -> float:  
     return last + 2.0**64 * np.rint((about - last) / 2.0**64)
 
 
-@_compiled
+@compiled
 def _normalised(cross: Array, energy: Array, own: float, least: float) -> Array:  # pragma: no cover
     """``cross / sqrt(energy * own)``, 0 where an energy is not above ``least``; written over ``cross``."""
     for r in range(cross.shape[0]):
@@ -400,7 +392,7 @@ def _float_ncc(image: Array, template: Array, mask: Array, centred: bool) -> Flo
     return _normalised(cross, energy, own, FLAT**2 * n * image.shape[2])
 
 
-@_compiled
+@compiled
 def _direct_ncc(
     image: Array, template: Array, mask: Array, places: Array, centred: bool
 ) -> tuple[Array, Array]:  # pragma: no cover

@@ -7,7 +7,7 @@ views segmented, and little else.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import reduce
 from itertools import pairwise
 from typing import Any
@@ -15,26 +15,38 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from occlib.geometry import FloatArray, Image, Mask
+from occlib.geometry import FloatArray, Floor, Image, Mask
 
-RULES: dict[str, Callable[[Any, Any], Any]] = {"and": np.minimum, "or": np.maximum}
-"""Fusion rules by name: how the evidence of two views is joined, and then a third's with the result."""
+RULES = ("and", "or", "most", "product", "log-odds", "planes")
+"""Fusion rules by name, see :func:`fuse`."""
 
 
 def fuse(evidence: Sequence[Image], rule: str = "and", *, visible: Sequence[Mask] | None = None) -> Image:
     """Join the views' evidence on the floor (section 5).
+
+    =========  ===================================================================================================
+    rule       a cell is occupied where
+    =========  ===================================================================================================
+    and        *every* view that sees it says so (the paper's); soft: the smallest evidence
+    or         any view says so; soft: the largest
+    most       all but one of the views that see it say so, and at least one: one missed view no longer deletes it
+    product    the geometric mean of the probabilities is at least one half: a soft AND
+    log-odds   the sum of the log-odds is positive: each view votes with its certainty
+    planes     on at least half of the planes *every* view says so: the body counts where the feet are not seen
+    =========  ===================================================================================================
 
     Parameters
     ----------
     evidence
         One array (ny, nx) a view, all of one shape and dtype: bool masks, or soft evidence where higher means more
         surely occupied. For ``"and"`` the soft result is the smallest evidence, so that thresholding the result equals
-        the AND of the thresholded views.
+        the AND of the thresholded views. ``product``, ``log-odds`` and ``planes`` take bool, uint8 (0 to 255) and floats in
+        [0, 1] as probabilities. For ``"planes"`` (planes, ny, nx) a view: the view on parallel planes above the floor.
     rule
-        ``"and"``: occupied where *every* view says so (the paper's). ``"or"``: where any does.
+        One of :data:`RULES`. Explaining away needs more than one cell at a time: :func:`occlib.explaining.explain`.
     visible
-        Bool (ny, nx) a view: a view says nothing about cells it cannot see. None if every view sees every cell. A cell
-        that no view sees is 0.
+        Bool, of the evidence's shape, a view: a view says nothing about cells it cannot see. None if every view sees every
+        cell. A cell that no view sees is 0.
 
     Returns
     -------
@@ -44,31 +56,101 @@ def fuse(evidence: Sequence[Image], rule: str = "and", *, visible: Sequence[Mask
     --------
     >>> fuse([np.array([[True, True, False]]), np.array([[True, False, False]])]).tolist()
     [[True, False, False]]
+    >>> views = [np.array([[0.9, 0.9]]), np.array([[0.7, 0.2]]), np.array([[0.4, 0.4]])]
+    >>> fuse(views, "most").tolist(), (fuse(views, "log-odds") > 0.5).tolist()
+    ([[0.7, 0.4]], [[True, True]])
     """
     if rule not in RULES:
         raise ValueError(f"rule: expected one of {', '.join(RULES)}, got {rule!r}")
     views = [np.asarray(view) for view in evidence]
     if not views:
         raise ValueError("evidence: expected at least one view, got none")
-    if any(view.shape != views[0].shape or view.dtype != views[0].dtype or view.ndim != 2 for view in views):
+    dimensions = 3 if rule == "planes" else 2
+    if any(v.shape != views[0].shape or v.dtype != views[0].dtype or v.ndim != dimensions for v in views):
         raise ValueError(f"evidence: expected one shape and dtype, got {[(v.shape, str(v.dtype)) for v in views]}")
     if views[0].dtype.kind == "f" and not all(np.isfinite(view).all() for view in views):
         raise ValueError("evidence: expected finite numbers, got NaN or infinity")
-    if visible is None:
-        return np.asarray(reduce(RULES[rule], views[1:], views[0].copy()))
-    if len(visible) != len(views) or any(np.shape(seen) != views[0].shape for seen in visible):
+    if visible is not None and (len(visible) != len(views) or any(np.shape(v) != views[0].shape for v in visible)):
         raise ValueError(f"visible: expected {len(views)} masks of shape {views[0].shape}")
+    if rule in ("and", "or") or (rule == "planes" and len(views[0]) == 0):
+        return _extreme(views, np.minimum if rule == "and" else np.maximum, visible)
+    if rule == "planes":
+        level = np.stack([_extreme([v[p] for v in views], np.minimum, _plane(visible, p)) for p in range(len(views[0]))])
+        return _as_evidence(_as_probability(level).mean(axis=0), views[0].dtype)
+    seen = np.ones((len(views), *views[0].shape), bool) if visible is None else np.stack(visible)
+    return _joint(np.stack(views), seen, rule)
+
+
+def _extreme(views: Sequence[Image], choose: Any, visible: Sequence[Mask] | None) -> Image:
+    if visible is None:
+        return np.asarray(reduce(choose, views[1:], views[0].copy()))
+    high = choose is np.minimum  # what changes nothing
     if views[0].dtype == np.bool_:
-        neutral: Any = rule == "and"
+        neutral: Any = high
     elif views[0].dtype.kind == "f":
-        neutral = np.inf if rule == "and" else -np.inf
+        neutral = np.inf if high else -np.inf
     else:
         limits = np.iinfo(views[0].dtype)
-        neutral = limits.max if rule == "and" else limits.min
-    fused = reduce(
-        RULES[rule], [np.where(seen, v, np.array(neutral, v.dtype)) for v, seen in zip(views, visible, strict=True)]
-    )
+        neutral = limits.max if high else limits.min
+    fused = reduce(choose, [np.where(s, v, np.array(neutral, v.dtype)) for v, s in zip(views, visible, strict=True)])
     return np.asarray(np.where(np.any(visible, axis=0), fused, np.zeros((), views[0].dtype)))
+
+
+def _plane(visible: Sequence[Mask] | None, plane: int) -> Sequence[Mask] | None:
+    return None if visible is None else [seen[plane] for seen in visible]
+
+
+def _joint(views: Image, seen: Mask, rule: str) -> Image:
+    """The rules that need all views of a cell at once, (K, ny, nx)."""
+    count = seen.sum(axis=0)
+    if rule == "most":
+        ranked = np.sort(np.where(seen, views, np.zeros((), views.dtype)), axis=0)[::-1]  # what is not seen comes last
+        chosen = np.maximum(count - 2, 0)[None]
+        return np.asarray(np.where(count > 0, np.take_along_axis(ranked, chosen, axis=0)[0], np.zeros((), views.dtype)))
+    p = np.clip(_as_probability(views), 1e-3, 1 - 1e-3)  # no view is ever certain
+    if rule == "product":
+        joint = np.exp(np.where(seen, np.log(p), 0).sum(axis=0) / np.maximum(count, 1))
+    else:
+        joint = 1 / (1 + np.exp(-np.where(seen, np.log(p / (1 - p)), 0).sum(axis=0)))
+    return _as_evidence(np.where(count > 0, joint, 0), views.dtype)
+
+
+def _as_probability(evidence: Image) -> FloatArray:
+    if evidence.dtype.kind == "f" and evidence.size and (evidence.min() < 0 or evidence.max() > 1):
+        raise ValueError(f"evidence: expected probabilities in [0, 1], got {evidence.min():g} to {evidence.max():g}")
+    return evidence / np.float64(255 if evidence.dtype == np.uint8 else 1)
+
+
+def _as_evidence(probability: FloatArray, dtype: npt.DTypeLike) -> Image:
+    if dtype == np.bool_:
+        return np.asarray(probability >= 0.5)
+    return np.asarray(np.rint(255 * probability) if dtype == np.uint8 else probability).astype(dtype)
+
+
+def standing_places(
+    evidence: Sequence[Image], visible: Sequence[Mask], floor: Floor, *, level: float = 127, views: int = 2
+) -> FloatArray:
+    """Where something may stand: cells over which, on some plane, every view that sees it says foreground.
+
+    Parameters
+    ----------
+    evidence, visible
+        For each view soft evidence on parallel planes and what it sees of them, (planes, ny, nx).
+    floor
+        Of these cells; coarse cells do.
+    level
+        Evidence above this is foreground.
+    views
+        At least so many views must see a cell on the plane.
+
+    Returns
+    -------
+    Floor points (N, 2) in m.
+    """
+    votes = np.logical_and.reduce([~seen | (e > level) for e, seen in zip(evidence, visible, strict=True)])
+    votes &= np.sum(visible, axis=0) >= views
+    iy, ix = np.nonzero(votes.any(axis=0))
+    return np.column_stack([floor.x[0] + (ix + 0.5) * floor.resolution, floor.y[0] + (iy + 0.5) * floor.resolution])
 
 
 def truth_table() -> list[dict[str, Any]]:

@@ -2,33 +2,40 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+import cv2
 import numpy as np
 import numpy.typing as npt
 from tqdm import tqdm
 
+from occlib.explaining import Cylinder, Explanation, PolarEvidence, explain, occlusion_state
 from occlib.foreground import (
+    SURE,
     Background,
     as_background,
     average_background,
+    foreground_evidence,
     learn_background,
     smooth,
     subtract_background,
     threshold_level,
 )
-from occlib.geometry import Image, Mask, Rig
+from occlib.geometry import FloatArray, Floor, Image, Mask, Rig
+from occlib.health import CameraMonitor
 from occlib.localization import Region, find_regions, split_regions
-from occlib.mapping import OccupancyMap, occupancy_map
-from occlib.occlusion import RULES, fuse, hidden_fractions
+from occlib.mapping import BLIND, DISAGREE, ONE_VIEW, OccupancyMap, occupancy_map
+from occlib.occlusion import RULES, fuse, hidden_fractions, standing_places
 from occlib.recordings import Recording, check_size
-from occlib.registration import FloorWarp
+from occlib.registration import FloorWarp, PolarWarp
 from occlib.tracking import ObjectVector, Observation, Tracker
 
 HIDDEN = 0.9
 """An object is *hidden* in a view from this fraction on."""
+PLANES_M = (0.0, 0.1, 0.3, 0.6, 1.0, 1.4)
+"""Heights at which something that stands is looked for: where feet are hidden, the body still places it."""
 
 
 @dataclass(frozen=True)
@@ -42,7 +49,8 @@ class Settings:
     smoothing_px
         Side of the Gaussian in px, odd.
     threshold
-        ``"otsu"``, ``"half-otsu"``, ``"triangle"``, ``"noise"`` or grey levels; see
+        ``"evidence"``: shadows and reflections left out, :func:`occlib.foreground.foreground_evidence`. Else the difference is
+        thresholded: ``"otsu"``, ``"half-otsu"``, ``"triangle"``, ``"noise"`` or grey levels; see
         :func:`occlib.foreground.threshold_level`.
     min_level
         Grey levels that a threshold found by a rule is never below.
@@ -50,7 +58,8 @@ class Settings:
         Evidence above this many times the threshold (before ``min_level``) is an object's core; a region with several
         cores is split. 0: never.
     rule
-        Fusion rule; see :func:`occlib.occlusion.fuse`.
+        ``"explain"``: the fewest objects that explain all silhouettes, :func:`occlib.explaining.explain`. Else a fusion rule
+        of :func:`occlib.occlusion.fuse`, whose regions are the objects; what follows below is for these.
     join_m
         Fragments of evidence no further apart are one object, if every view connects them.
     min_area_m2
@@ -63,21 +72,23 @@ class Settings:
 
     colour: bool = True
     smoothing_px: int = 5
-    threshold: str | float = "half-otsu"
+    threshold: str | float = "evidence"
     min_level: float = 30.0
     core: float = 1.5
-    rule: str = "and"
+    rule: str = "explain"
     join_m: float = 0.2
     min_area_m2: float = 0.015
     position: str = "middle"
     remove_ghosts: bool = True
 
     def __post_init__(self) -> None:
-        if self.rule not in RULES:
-            raise ValueError(f"rule: expected one of {', '.join(RULES)}, got {self.rule!r}")
+        known = [rule for rule in RULES if rule != "planes"] + ["explain"]
+        if self.rule not in known:
+            raise ValueError(f"rule: expected one of {', '.join(known)}, got {self.rule!r}")
         if self.position not in ("centroid", "middle"):
             raise ValueError(f"position: expected centroid or middle, got {self.position!r}")
-        threshold_level(np.zeros((1, 1), np.uint8), self.threshold)  # an unknown one is found out now
+        if self.threshold != "evidence":
+            threshold_level(np.zeros((1, 1), np.uint8), self.threshold)  # an unknown one is found out now
 
 
 PROFILES = {
@@ -85,6 +96,7 @@ PROFILES = {
     "paper": Settings(
         colour=False,
         threshold="otsu",
+        rule="and",
         min_level=0.0,
         core=0.0,
         join_m=0.0,
@@ -120,8 +132,14 @@ class FrameResult:
         int32 (ny, nx): 0, or the index of the cell's object in ``objects`` plus 1.
     map
         -1 unknown, 0 free, 100 occupied.
+    reason
+        uint8 (ny, nx), why a cell is unknown: :data:`occlib.mapping.REASONS`; 0 where it is known.
     objects
         The object vectors M{p, V, C}.
+    excluded
+        The cameras that are not to be trusted now, and why: missing, black, covered or frozen.
+    hidden_by
+        For each object the cameras in which more than half of it is hidden: ``{camera: (fraction, id that hides most of it)}``.
     """
 
     time: float
@@ -129,7 +147,10 @@ class FrameResult:
     occupied: Mask
     labels: npt.NDArray[np.int32]
     map: OccupancyMap
+    reason: npt.NDArray[np.uint8]
     objects: list[ObjectVector]
+    excluded: dict[str, str]
+    hidden_by: list[dict[str, tuple[float, int]]]
 
 
 class Pipeline:
@@ -168,85 +189,140 @@ class Pipeline:
         for name, background in self.backgrounds.items():
             check_size(background.image, rig[name].size, f"background of {name}")
         self.warps = {name: FloorWarp(camera, rig.floor) for name, camera in rig.cameras.items()}
-        self._visible = [warp.visible for warp in self.warps.values()]
-        self._seen = np.any(self._visible, axis=0)
-        self._everywhere = bool(np.all(self._visible))
+        self.monitor = CameraMonitor(self.backgrounds)
+        self._visible = {name: warp.visible for name, warp in self.warps.items()}
         # one view alone cannot tell an object from its shadow, so two must see a cell before it is called occupied
-        self._confirmed = np.sum(self._visible, axis=0) >= min(2, len(self._visible))
-        self._stations = [rig.floor.cells(camera.centre_m[None, :2])[0] for camera in rig.cameras.values()]
+        self._needed = min(2, len(rig.cameras))
+        self._stations = {n: rig.floor.cells(c.centre_m[None, :2])[0] for n, c in rig.cameras.items()}
+        self._explainer = _Explainer(rig, self.backgrounds) if settings.rule == "explain" else None
 
-    def process(self, images: Mapping[str, Image], time: float) -> FrameResult:
+    def process(self, images: Mapping[str, Image | None], time: float) -> FrameResult:
         """Run one instant through the chain.
 
         Parameters
         ----------
         images
-            ``{camera: uint8 RGB (H, W, 3)}``, one for every camera of the rig.
+            ``{camera: uint8 RGB (H, W, 3)}``, one for every camera of the rig; ``None`` for one that has dropped out.
         time
             Seconds, later than in the last call.
 
         Raises
         ------
         ValueError
-            A camera's frame is missing or has the wrong size or dtype.
+            A camera's frame is not given, or has the wrong size or dtype.
         """
         missing = [name for name in self.rig.cameras if name not in images]
         if missing:
             raise ValueError(f"images: expected one for every camera, missing {', '.join(missing)}")
-        evidence = [self.evidence(name, images[name]) for name in self.rig.cameras]
-        views = {name: warped > level for name, (warped, level, _) in zip(self.rig.cameras, evidence, strict=True)}
-        occupied = self._fused(list(views.values()))
-        labels, regions = self._regions(occupied, list(views.values()))
-        if self.settings.core and regions:
-            cores = [warped > level for warped, _, level in evidence]
-            smallest = self.settings.min_area_m2 / self.rig.floor.cell_area
-            labels, regions = split_regions(labels, regions, self._fused(cores), min_area=smallest, within=cores)
-        labels, regions, hidden = self._real(labels, regions, list(views.values()))
-        seen = [self._observe(region, labels, hidden[i], images) for i, region in enumerate(regions)]
+        for name in self.rig.cameras:
+            if images[name] is not None:
+                check_size(images[name], self.rig[name].size, f"image of {name}")
+        self.tracker.check_time(time)
+        excluded = self.monitor.check(images)
+        frames = {n: image for n in self.rig.cameras if n not in excluded and (image := images[n]) is not None}
+        evidence = {name: self.evidence(name, image) for name, image in frames.items()}
+        floor = {name: self.warps[name].warp(picture) for name, (picture, _, _) in evidence.items()}
+        views = {name: floor[name] > level for name, (_, level, _) in evidence.items()}
+        occupied = self._fused(views, "and" if self._explainer else self.settings.rule)
+        if self._explainer:
+            things = self._explainer.explain({name: (e[0], e[1]) for name, e in evidence.items()})
+            labels, seen, hidden, by = self._explained(things, occupied, frames)
+        else:
+            cores = {name: floor[name] > core for name, (_, _, core) in evidence.items()}
+            labels, seen, hidden = self._regions(occupied, views, cores, frames)
+            by = np.full(hidden.shape, -1)
         objects = self.tracker.update(seen, time)
-        return FrameResult(time, views, occupied, labels, self._map(labels, views, occupied), objects)
+        grid, reason = self._map(labels, views, occupied)
+        return FrameResult(
+            time, views, occupied, labels, grid, reason, objects, excluded, _hidden_by(objects, hidden, by, list(frames))
+        )
 
     def evidence(self, name: str, image: Image) -> tuple[Image, int, int]:
-        """One camera's evidence on the floor, uint8 (ny, nx), the level above which it is foreground, and that of its core.
+        """One camera's evidence, uint8 (H, W), the level above which it is foreground, and that of an object's core.
 
-        The chain of one view: adjust, subtract, smooth, find the threshold, warp. The threshold is applied on the floor, to the
-        transformed view as section 5 has it: thresholding first would stretch hard tiles over the floor.
+        The chain of one view but for the threshold, which is applied on the floor, to the transformed view as section 5 has
+        it: thresholding first would stretch hard tiles over the floor.
         """
-        check_size(image, self.rig[name].size, f"image of {name}")
         how, background = self.settings, self.backgrounds[name]
+        if how.threshold == "evidence":
+            return foreground_evidence(image, background), SURE - 1, SURE + 63
         difference = smooth(subtract_background(image, background, colour=how.colour), size=how.smoothing_px)
         found = threshold_level(difference, how.threshold)
         floor = 0.0 if not isinstance(how.threshold, str) else max(how.min_level, background.noise_floor)
         level = max(found, floor)
         # whole levels: the same decision on whole grey levels, without a detour through floats
-        return self.warps[name].warp(difference), int(level), int(max(level, how.core * found))
+        return difference, int(level), int(max(level, how.core * found))
 
-    def _fused(self, views: Sequence[Mask]) -> Mask:
-        if self._everywhere:
-            return np.asarray(fuse(views, self.settings.rule), dtype=bool)
-        fused = np.asarray(fuse(views, self.settings.rule, visible=self._visible), dtype=bool)
-        return fused & self._confirmed if self.settings.rule == "and" else fused
+    def _fused(self, views: Mapping[str, Mask], rule: str) -> Mask:
+        if not views:
+            return np.zeros(self.rig.floor.shape, bool)
+        visible = [self._visible[name] for name in views]
+        if all(seen.all() for seen in visible):
+            fused = np.asarray(fuse(list(views.values()), rule), dtype=bool)
+        else:
+            fused = np.asarray(fuse(list(views.values()), rule, visible=visible), dtype=bool)
+        return fused if rule == "or" else fused & (np.sum(visible, axis=0) >= self._needed)
 
-    def _regions(self, occupied: Mask, views: Sequence[Mask]) -> tuple[npt.NDArray[np.int32], list[Region]]:
+    # --- objects that explain the silhouettes ------------------------------------------------------
+    def _explained(
+        self, things: Sequence[Cylinder], occupied: Mask, frames: Mapping[str, Image]
+    ) -> tuple[npt.NDArray[np.int32], list[Observation], FloatArray, npt.NDArray[np.int64]]:
+        assert self._explainer is not None
+        labels = footprints(things, occupied, self.rig.floor)
+        hidden, by = self._explainer.state(things, list(frames))
+        areas = np.bincount(labels.ravel(), minlength=len(things) + 1)[1:] * self.rig.floor.cell_area
+        colours = self._colours(things, hidden, frames)
+        seen = [
+            Observation((t.x, t.y), float(areas[i]), colours[i], hidden_in=_hidden_in(hidden[i], frames))
+            for i, t in enumerate(things)
+        ]
+        return labels, seen, hidden, by
+
+    def _colours(
+        self, things: Sequence[Cylinder], hidden: FloatArray, frames: Mapping[str, Image]
+    ) -> list[tuple[int, int, int]]:
+        """Mean colour along each object's axis, in the view that sees most of it."""
+        colours = []
+        for i, thing in enumerate(things):
+            best = list(frames)[int(np.argmin(np.nan_to_num(hidden[i], nan=2.0)))]
+            axis = [[thing.x, thing.y, share * thing.height] for share in (0.3, 0.4, 0.5, 0.6, 0.7)]
+            pixels = self.rig[best].project(axis)
+            x, y = np.rint(pixels[self.rig[best].inside(pixels)]).astype(int).T
+            r, g, b = frames[best][y, x].mean(axis=0) if len(x) else (0.0, 0.0, 0.0)
+            colours.append((round(float(r)), round(float(g)), round(float(b))))
+        return colours
+
+    # --- objects that are regions of the fused evidence ----------------------------------------------
+    def _regions(
+        self, occupied: Mask, views: Mapping[str, Mask], cores: Mapping[str, Mask], frames: Mapping[str, Image]
+    ) -> tuple[npt.NDArray[np.int32], list[Observation], FloatArray]:
         floor, how = self.rig.floor, self.settings
-        return find_regions(
+        smallest = how.min_area_m2 / floor.cell_area
+        masks = list(views.values())
+        labels, regions = find_regions(
             occupied,
-            min_area=how.min_area_m2 / floor.cell_area,
+            min_area=smallest,
             join=round(how.join_m / floor.resolution),
-            within=views if how.rule == "and" else (),
+            within=masks if how.rule == "and" else (),
         )
+        if how.core and regions:
+            core = self._fused(cores, how.rule)
+            labels, regions = split_regions(labels, regions, core, min_area=smallest, within=list(cores.values()))
+        labels, regions, hidden = self._real(labels, regions, views)
+        return labels, [self._observe(r, labels, hidden[i], frames) for i, r in enumerate(regions)], hidden
 
     def _real(
-        self, labels: npt.NDArray[np.int32], regions: list[Region], views: Sequence[Mask]
+        self, labels: npt.NDArray[np.int32], regions: list[Region], views: Mapping[str, Mask]
     ) -> tuple[npt.NDArray[np.int32], list[Region], Any]:
         """What is no ghost, with its hidden fractions (n, cameras): NaN where a view sees no cell of the object."""
         hidden = (
-            hidden_fractions(labels, views, self._stations)
+            hidden_fractions(labels, list(views.values()), [self._stations[name] for name in views])
             if len(regions) > 1
             else np.zeros((len(regions), len(views)))
         )
-        if regions and not self._everywhere:
-            cells = [np.bincount(labels[seen], minlength=len(regions) + 1)[1:] for seen in self._visible]
+        visible = [self._visible[name] for name in views]
+        if regions and not all(seen.all() for seen in visible):
+            cells = [np.bincount(labels[seen], minlength=len(regions) + 1)[1:] for seen in visible]
             hidden[np.column_stack(cells) == 0] = np.nan
         if self.settings.remove_ghosts and len(views) > 1 and regions:
             real = np.nanmin(hidden, axis=1) < 0.5
@@ -256,19 +332,18 @@ class Pipeline:
                 regions = [replace(r, label=int(renumber[r.label])) for r in regions if renumber[r.label]]
         return labels, regions, hidden
 
-    def _observe(self, region: Region, labels: Image, hidden: Any, images: Mapping[str, Image]) -> Observation:
+    def _observe(self, region: Region, labels: Image, hidden: Any, frames: Mapping[str, Image]) -> Observation:
         floor = self.rig.floor
         cell = region.centroid if self.settings.position == "centroid" else region.middle
         x, y = (
             float(low + (c + 0.5) * floor.resolution) for low, c in zip((floor.x[0], floor.y[0]), cell, strict=True)
         )
-        names = list(self.rig.cameras)
-        best = names[int(np.nanargmin(hidden))]
+        best = list(frames)[int(np.nanargmin(hidden))]
         return Observation(
             position_m=(x, y),
             area_m2=region.area * floor.cell_area,
-            colour=self._colour(region, labels, best, images[best]),
-            hidden_in=tuple(name for name, fraction in zip(names, hidden, strict=True) if fraction >= HIDDEN),
+            colour=self._colour(region, labels, best, frames[best]),
+            hidden_in=_hidden_in(hidden, frames),
         )
 
     def _colour(self, region: Region, labels: Image, name: str, image: Image) -> tuple[int, int, int]:
@@ -283,15 +358,134 @@ class Pipeline:
         r, g, b = image[pixels[:, 1], pixels[:, 0]].mean(axis=0)
         return (round(float(r)), round(float(g)), round(float(b)))
 
-    def _map(self, labels: Image, views: Mapping[str, Mask], occupied: Mask) -> OccupancyMap:
-        """Occupied where an object is; free where a view looks at bare floor; else, as under a ghost, unknown."""
-        known = self._seen
-        if not self._everywhere:
-            shaded = np.logical_and.reduce(
-                [view | ~seen for view, seen in zip(views.values(), self._visible, strict=True)]
-            )
-            known = known & ~(shaded & ~self._confirmed)
-        return occupancy_map(labels > 0, known & ~occupied, self.rig.floor)
+    # --- the map -------------------------------------------------------------------------------------
+    def _map(
+        self, labels: Image, views: Mapping[str, Mask], occupied: Mask
+    ) -> tuple[OccupancyMap, npt.NDArray[np.uint8]]:
+        """Occupied where an object is; free where a view looks at bare floor; else unknown, with the reason."""
+        floor = self.rig.floor
+        count = np.sum([self._visible[name] for name in views], axis=0) if views else np.zeros(floor.shape, int)
+        bare = np.zeros(floor.shape, bool)
+        for name, view in views.items():
+            bare |= self._visible[name] & ~view
+        lost = np.zeros(floor.shape, bool)  # a camera that is excluded leaves its cells to one view: not free
+        for name in self.rig.cameras.keys() - views.keys():
+            lost |= self._visible[name] & (count < self._needed)
+        reason = np.zeros(floor.shape, np.uint8)
+        reason[occupied | ~bare] = DISAGREE
+        reason[~bare & (count < self._needed) | lost] = ONE_VIEW
+        reason[count == 0] = BLIND
+        reason[labels > 0] = 0
+        return occupancy_map(labels > 0, reason == 0, floor), reason
+
+
+class _Explainer:
+    """Turns the views' evidence into polar views, and keeps the last instant's objects."""
+
+    def __init__(self, rig: Rig, backgrounds: Mapping[str, Background], how: Explanation = Explanation()) -> None:
+        self.how, self.before = how, list[Cylinder]()
+        names = list(rig.cameras)
+        # a picture of 1288 px is not sampled finer than one of 640: the objects are no smaller
+        self.polar = {n: PolarWarp(c, rig.floor, max(2.0, 3.0 * c.size[0] / 1288)) for n, c in rig.cameras.items()}
+        self.views = np.array([self.polar[name].parameters for name in names])
+        self.sizes = np.array([self.polar[name].shape[::-1] for name in names], np.int64)
+        columns, rows = self.sizes.max(axis=0)
+        self.seen = np.zeros((len(names), rows, columns), bool)
+        self.certain = np.zeros(self.seen.shape, np.float32)
+        for k, name in enumerate(names):
+            warp = self.polar[name]
+            window = np.s_[k, : warp.shape[0], : warp.shape[1]]
+            self.seen[window] = warp.visible
+            # a dark background says little against a dark object
+            light = warp.warp(cv2.GaussianBlur(backgrounds[name].image, (9, 9), 0)).mean(axis=2)
+            self.certain[window] = np.clip((light - 20) / 60, 0.15, 1) * how.background
+        coarse = Floor(rig.floor.x, rig.floor.y, max(how.grid_m, rig.floor.resolution))
+        self.coarse = coarse
+        self.planes = {n: [FloorWarp(c, coarse, h) for h in PLANES_M] for n, c in rig.cameras.items()}
+        self.names = names
+
+    def explain(self, evidence: Mapping[str, tuple[Image, int]]) -> list[Cylinder]:
+        """The objects of this instant from each camera's evidence and the level above which it is foreground."""
+        weights = np.zeros(self.seen.shape, np.int32)
+        votes, visible = [], []
+        for name, (picture, level) in evidence.items():
+            k, warp = self.names.index(name), self.polar[name]
+            window = np.s_[k, : warp.shape[0], : warp.shape[1]]
+            soft = _weights(level)[warp.warp(picture)]
+            weights[window] = np.where(soft > 0, soft, soft * self.certain[window]) * self.seen[window]
+            votes.append(np.stack([plane.warp(picture) > level for plane in self.planes[name]]))
+            visible.append(np.stack([plane.visible for plane in self.planes[name]]))
+        if not votes:
+            self.before = []
+            return []
+        places = standing_places(votes, visible, self.coarse, level=0, views=min(2, len(self.names), len(votes)))
+        self.before = explain(
+            PolarEvidence(self.views, self.sizes, weights, self._working(evidence)),
+            places,
+            before=self.before,
+            how=self.how,
+        )
+        return self.before
+
+    def state(self, things: Sequence[Cylinder], cameras: Sequence[str]) -> tuple[FloatArray, npt.NDArray[np.int64]]:
+        """Hidden fractions (n, cameras) and what hides."""
+        k = [self.names.index(name) for name in cameras]
+        empty = np.zeros((len(k), *self.seen.shape[1:]), np.int32)
+        return occlusion_state(PolarEvidence(self.views[k], self.sizes[k], empty, self.seen[k]), things)
+
+    def _working(self, evidence: Mapping[str, Any]) -> Mask:
+        return self.seen & np.array([name in evidence for name in self.names])[:, None, None]
+
+
+def _weights(level: int) -> npt.NDArray[np.float32]:
+    """Evidence 0 to 255 to weights -255 to 255, 0 at the level: straight for soft evidence, steep for a difference."""
+    steep = 255 / 127.5 if level == SURE - 1 else 2.5 * 255 / max(level, 1)
+    return np.clip((np.arange(256) - (level + 0.5)) * steep, -255, 255).astype(np.float32)
+
+
+def footprints(things: Sequence[Cylinder], occupied: Mask, floor: Floor) -> npt.NDArray[np.int32]:
+    """The cells of each object: those under the cylinder, and evidence within a quarter radius + 5 cm of it.
+
+    Returns
+    -------
+    int32 (ny, nx): 0, or the object's index plus 1; a cell between two belongs to the nearer rim.
+    """
+    labels, nearest = np.zeros(floor.shape, np.int32), np.full(floor.shape, np.inf, np.float32)
+    for number, thing in enumerate(things, start=1):
+        spare = 0.05 + 0.25 * thing.radius
+        (x0, y0), (x1, y1) = floor.cells(
+            [[thing.x + sign * (thing.radius + spare), thing.y + sign * (thing.radius + spare)] for sign in (-1, 1)]
+        )
+        rows = slice(max(int(y0), 0), max(int(y1) + 2, 0))
+        columns = slice(max(int(x0), 0), max(int(x1) + 2, 0))
+        iy, ix = np.mgrid[rows, columns][:, : floor.shape[0], : floor.shape[1]]
+        iy, ix = iy[iy[:, :1].ravel() < floor.shape[0]], ix[iy[:, :1].ravel() < floor.shape[0]]
+        keep = ix[0] < floor.shape[1] if len(ix) else slice(0)
+        iy, ix = iy[:, keep], ix[:, keep]
+        x = floor.x[0] + (ix + 0.5) * floor.resolution
+        y = floor.y[0] + (iy + 0.5) * floor.resolution
+        rim = (np.hypot(x - thing.x, y - thing.y) - thing.radius).astype(np.float32)
+        mine = (rim < nearest[iy, ix]) & ((rim <= 0) | ((rim <= spare) & occupied[iy, ix]))
+        nearest[iy[mine], ix[mine]] = rim[mine]
+        labels[iy[mine], ix[mine]] = number
+    return labels
+
+
+def _hidden_in(hidden: FloatArray, cameras: Iterable[str]) -> tuple[str, ...]:
+    return tuple(name for name, fraction in zip(cameras, hidden, strict=True) if fraction >= HIDDEN)
+
+
+def _hidden_by(
+    objects: Sequence[ObjectVector], hidden: FloatArray, by: npt.NDArray[np.int64], cameras: Sequence[str]
+) -> list[dict[str, tuple[float, int]]]:
+    return [
+        {
+            name: (float(hidden[i, k]), objects[by[i, k]].id if by[i, k] >= 0 else -1)
+            for k, name in enumerate(cameras)
+            if hidden[i, k] > 0.5
+        }
+        for i in range(len(objects))
+    ]
 
 
 def backgrounds_of(recording: Recording, *, samples: int = 60, progress: bool = False) -> dict[str, Background]:

@@ -202,8 +202,7 @@ class Tracker:
         ValueError
             ``time`` does not increase, or a position or area is not finite. The tracker stays as it was.
         """
-        if not (math.isfinite(time) and time > self._time):
-            raise ValueError(f"time: expected finite seconds after {self._time}, got {time}")
+        self.check_time(time)
         for index, seen in enumerate(observations):
             if not all(map(math.isfinite, (*seen.position_m, seen.area_m2))):
                 raise ValueError(f"observations[{index}]: expected finite position and area, got {seen}")
@@ -211,6 +210,11 @@ class Tracker:
         assigned = self._assign(observations, time)
         self._retire(set(assigned.values()), time)
         return [self._vector(seen, assigned.get(index), time) for index, seen in enumerate(observations)]
+
+    def check_time(self, time: float) -> None:
+        """Raise ``ValueError`` unless ``time`` is finite and later than in the last update."""
+        if not (math.isfinite(time) and time > self._time):
+            raise ValueError(f"time: expected finite seconds after {self._time}, got {time}")
 
     def _assign(self, observations: Sequence[Observation], time: float) -> dict[int, _Track]:
         """Index of each observation that is a known object -> its track: most pairs, then least cost."""

@@ -10,7 +10,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from occlib import measures
+from occlib import kernels, measures
 from occlib.matching import METHODS, find, reference_similarity, similarity
 
 Array = npt.NDArray[Any]
@@ -543,17 +543,17 @@ def test_inputs_stay_unchanged(method: str) -> None:
 
 
 def test_without_a_folder_for_the_cache_it_compiles_all_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
-    from occlib import measures
+    from occlib import kernels, measures
 
-    real = measures.numba.njit
+    real = kernels.numba.njit
 
     def njit(**options: Any) -> Any:
         if options.get("cache"):
             raise RuntimeError("cannot cache function: no locator available")
         return real(**options)
 
-    monkeypatch.setattr(measures.numba, "njit", njit)
-    assert measures._compiled(lambda x: x + 1)(2) == 3
+    monkeypatch.setattr(kernels.numba, "njit", njit)
+    assert kernels.compiled(lambda x: x + 1)(2) == 3
 
 
 @pytest.mark.parametrize("method", ["ncc", "zncc"])

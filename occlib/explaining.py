@@ -1,0 +1,556 @@
+"""Explaining away: the fewest upright objects of plausible size that explain all silhouettes (section 5, beyond AND).
+
+AND asks of each cell of the floor whether every view *could* have an object there. n objects in two views then leave up to
+n (n - 1) crossings where nothing stands. Here the question is turned round: which objects, put on the floor, would
+have cast the silhouettes that the cameras see? A ghost explains nothing that the real objects do not explain already, so it
+is never needed; an object that one view hides is, because the other view's silhouette would stay unexplained.
+
+An object is an upright cylinder: place, radius, height. In a polar view (:class:`occlib.registration.PolarWarp`: a column
+is an azimuth, a row an angle of depression) it covers one run of rows in each column, from its near edge on the floor to the
+far edge of its top. With running sums down the columns, a cylinder is weighed in a few look-ups, whatever its size.
+
+The objective of a set of cylinders, summed over the views' samples, is
+
+    sum over covered samples of w  -  cost * (samples that each cylinder covers),    w in [-1, 1]
+
+where ``w`` > 0 is evidence of foreground and ``w`` < 0 of background, and a sample that several cylinders cover counts once.
+It is the log-likelihood of a probabilistic occupancy map (Fleuret et al. 2008, doi:10.1109/TPAMI.2007.1174) up to scale,
+maximised as marked point processes are (Utasi and Benedek 2011, doi:10.1109/CVPR.2011.5995699), but greedily: the best
+cylinder first, then each refined beside the others, then those dropped that the others explain as well.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from occlib.geometry import FloatArray, Mask
+from occlib.kernels import compiled
+
+RADII = np.array([0.06, 0.085, 0.12, 0.16, 0.21, 0.28, 0.36])
+HEIGHTS = np.array([0.04, 0.06, 0.09, 0.13, 0.18, 0.24, 0.32, 0.42, 0.55, 0.72, 0.95, 1.2, 1.45, 1.7, 1.9])
+"""Sizes tried at first, in m; the best are then refined freely between the limits of :func:`plausible`."""
+
+
+@dataclass(frozen=True)
+class Cylinder:
+    """An upright object: ``x``, ``y`` of its axis, ``radius`` and ``height``, all in m."""
+
+    x: float
+    y: float
+    radius: float
+    height: float
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """How hard the silhouettes are to be explained.
+
+    Parameters
+    ----------
+    cost
+        Share of its own silhouette that an object must explain before it counts: the price of one object more.
+    background
+        Weight of a covered background sample against a covered foreground sample.
+    least_area_m2
+        An object that explains less silhouette, in m2 at its own distance, is noise.
+    least_share
+        Share of its silhouette, in its best view, that no other object may explain.
+    fragment_share
+        The same for what stands beside something much taller, such as an arm or a bag: it must stand clear of it.
+    margin_m, reach
+        What an object explains is enlarged by ``margin_m + reach * height`` when others are judged, and for
+        fragments by ``margin_m + fragment_reach * height``.
+    keep
+        The last instant's objects stay unless a fresh search explains this share more.
+    grid_m
+        Spacing of the places tried.
+    """
+
+    cost: float = 0.15
+    background: float = 0.6
+    least_area_m2: float = 0.006
+    least_share: float = 0.15
+    fragment_share: float = 0.3
+    margin_m: float = 0.05
+    reach: float = 0.04
+    fragment_reach: float = 0.12
+    keep: float = 0.1
+    grid_m: float = 0.08
+    most: int = 32
+
+
+# --- kernels ---------------------------------------------------------------------------------------
+# ``views`` (K, 8): station x, y, height in m; azimuth of the middle, of column 0 relative to it, depression of row 0, step in
+# rad; weight of a sample. ``sizes`` (K, 2): columns and rows of a view. ``sums`` (K, rows + 1, columns): running sums.
+
+
+@compiled
+def plausible(radius: float, height: float) -> bool:
+    """Whether something of this size may stand on the floor: neither a pole nor a sheet, nor a wide wall."""
+    wide = 0.45 if height <= 0.7 else max(0.22, 0.45 - 0.46 * (height - 0.7))
+    return 0.03 + 0.065 * height <= radius <= wide and radius >= 0.05 and max(0.025, 0.2 * radius) <= height <= 2.0
+
+
+@compiled
+def silhouette(view: Any, columns: int, rows: int, x: float, y: float, radius: float, height: float, out: Any) -> Any:
+    """First and last + 1 column of a cylinder, and in ``out`` the first and last + 1 row of each."""
+    dx, dy = x - view[0], y - view[1]
+    distance = np.hypot(dx, dy)
+    if distance <= radius * 1.02:
+        return 0, 0
+    azimuth = (np.arctan2(dy, dx) - view[3] + np.pi) % (2 * np.pi) - np.pi
+    half = np.arcsin(radius / distance)
+    first = max(int(np.ceil((azimuth - half - view[4]) / view[6])), 0)
+    last = min(int(np.floor((azimuth + half - view[4]) / view[6])) + 1, columns)
+    for column in range(first, last):
+        turn = view[4] + column * view[6] - azimuth
+        chord = np.sqrt(max(radius * radius - (distance * np.sin(turn)) ** 2, 0.0))
+        near, far = distance * np.cos(turn) - chord, distance * np.cos(turn) + chord
+        above = view[2] - height
+        top = np.arctan2(above, far if above > 0 else near)
+        low = int(np.ceil((top - view[5]) / view[6]))
+        high = int(np.floor((np.arctan2(view[2], near) - view[5]) / view[6])) + 1
+        out[column - first, 0] = min(max(low, 0), rows)
+        out[column - first, 1] = max(min(max(high, 0), rows), out[column - first, 0])
+    return first, max(first, last)
+
+
+@compiled
+def gain(views: Any, sizes: Any, sums: Any, seen: Any, thing: Any, cost: float, runs: Any, found: Any) -> float:
+    """What a cylinder explains less its cost; ``found``: m2 explained, largest share in a view, share in all views."""
+    total, area, square, share = 0.0, 0.0, 0.0, 0.0
+    for k in range(len(views)):
+        first, last = silhouette(views[k], sizes[k, 0], sizes[k, 1], thing[0], thing[1], thing[2], thing[3], runs)
+        explained, covered = 0, 0
+        for column in range(first, last):
+            low, high = runs[column - first, 0], runs[column - first, 1]
+            explained += sums[k, high, column] - sums[k, low, column]
+            covered += seen[k, high, column] - seen[k, low, column]
+        distance = np.hypot(thing[0] - views[k, 0], thing[1] - views[k, 1])
+        part = explained / 255.0
+        total += part * views[k, 7]
+        area += covered * views[k, 7]
+        square += part * (views[k, 6] * np.hypot(distance, views[k, 2] - thing[3] / 2)) ** 2
+        if covered > 0:
+            share = max(share, part / covered)
+    found[0], found[1], found[2] = square, share, total / max(area, 1e-9)
+    return total - cost * area
+
+
+@compiled
+def cover(views: Any, sizes: Any, weights: Any, sums: Any, thing: Any, margin: float, runs: Any) -> None:
+    """Take out of ``weights`` and their running ``sums`` what a cylinder, enlarged by a margin in m, covers."""
+    for k in range(len(views)):
+        columns, rows = sizes[k]
+        first, last = silhouette(
+            views[k], columns, rows, thing[0], thing[1], thing[2] + margin, thing[3] + margin, runs
+        )
+        for column in range(first, last):
+            for row in range(runs[column - first, 0], runs[column - first, 1]):
+                weights[k, row, column] = 0
+            total = sums[k, runs[column - first, 0], column]
+            for row in range(runs[column - first, 0], rows):
+                total += weights[k, row, column]
+                sums[k, row + 1, column] = total
+
+
+@compiled
+def _cover_all(
+    views: Any, sizes: Any, weights: Any, sums: Any, things: Any, count: int, but: int, margin: float, runs: Any
+) -> None:
+    for j in range(count):
+        if j != but:
+            cover(views, sizes, weights, sums, things[j], margin, runs)
+
+
+@compiled
+def _refined(views: Any, sizes: Any, sums: Any, seen: Any, thing: Any, cost: float, runs: Any, found: Any) -> Any:
+    """The cylinder moved and sized, step by step, to where it explains most."""
+    best = gain(views, sizes, sums, seen, thing, cost, runs, found)
+    for height in HEIGHTS:  # the height has far optima: a body is cut at the belt, or goes on in one that stands behind
+        if plausible(thing[2], height):
+            other = thing.copy()
+            other[3] = height
+            value = gain(views, sizes, sums, seen, other, cost, runs, found)
+            if value > best + 1e-6:
+                best, thing = value, other
+    step = np.array([0.06, 0.06, 0.03, max(0.02, 0.1 * thing[3])])
+    for _ in range(14):
+        improved = False
+        for i in range(4):
+            for sign in (1.0, -1.0):
+                other = thing.copy()
+                other[i] += sign * step[i]
+                if plausible(other[2], other[3]):
+                    value = gain(views, sizes, sums, seen, other, cost, runs, found)
+                    if value > best + 1e-6:
+                        best, thing, improved = value, other, True
+        if not improved:
+            step /= 2
+            if step[0] < 0.003:
+                break
+    return thing
+
+
+@compiled
+def _candidates(views: Any, sizes: Any, sums: Any, seen: Any, places: Any, cost: float, runs: Any, found: Any) -> Any:
+    """For each place and radius the best height, where there is one: cylinders (N, 4) and what they explain (N,)."""
+    things, values, n = np.empty((len(places) * len(RADII), 4)), np.empty(len(places) * len(RADII)), 0
+    thing = np.empty(4)
+    for i in range(len(places)):
+        for radius in RADII:
+            best, falling = 0.0, 0
+            for height in HEIGHTS:
+                if not plausible(radius, height):
+                    continue
+                thing[0], thing[1], thing[2], thing[3] = places[i, 0], places[i, 1], radius, height
+                value = gain(views, sizes, sums, seen, thing, cost, runs, found)
+                if value > best:
+                    if best == 0.0:
+                        n += 1
+                    best, falling = value, 0
+                    things[n - 1], values[n - 1] = thing, value
+                elif best > 0:
+                    falling += 1
+                    if falling >= 4:
+                        break
+    return things[:n], values[:n]
+
+
+@compiled
+def _stands_alone(
+    views: Any,
+    sizes: Any,
+    weights0: Any,
+    sums0: Any,
+    spare: Any,
+    spare_sums: Any,
+    seen: Any,
+    things: Any,
+    count: int,
+    but: int,
+    thing: Any,
+    how: Any,
+    runs: Any,
+    found: Any,
+) -> bool:
+    """Whether enough of a cylinder is explained by none of the others; a fragment must stand clear of what towers over it."""
+    _, _, area, share, fragment, margin, reach, fragment_reach, _ = how
+    spare[:], spare_sums[:] = weights0, sums0
+    towered = False
+    for j in range(count):
+        if j != but:
+            cover(views, sizes, spare, spare_sums, things[j], margin + reach * things[j, 3], runs)
+            apart = np.hypot(things[j, 0] - thing[0], things[j, 1] - thing[1])
+            towered = towered or (thing[3] < 0.6 * things[j, 3] and apart < 0.3 + 0.5 * things[j, 3])
+    gain(views, sizes, spare_sums, seen, thing, 0.0, runs, found)
+    if found[0] < area or found[1] < share:
+        return False
+    if towered:
+        for j in range(count):
+            if j != but and thing[3] < 0.6 * things[j, 3]:
+                cover(views, sizes, spare, spare_sums, things[j], margin + fragment_reach * things[j, 3], runs)
+        gain(views, sizes, spare_sums, seen, thing, 0.0, runs, found)
+    return found[0] >= area and (not towered or found[1] >= fragment)
+
+
+@compiled
+def _fill_up(
+    views: Any,
+    sizes: Any,
+    weights0: Any,
+    sums0: Any,
+    spare: Any,
+    spare_sums: Any,
+    seen: Any,
+    candidates: Any,
+    values: Any,
+    things: Any,
+    count: int,
+    how: Any,
+    runs: Any,
+    found: Any,
+) -> int:
+    """Add the candidate that explains most of what is left, again and again. Values only fall, so few are looked at anew."""
+    weights, sums, bound = weights0.copy(), sums0.copy(), values.copy()
+    _cover_all(views, sizes, weights, sums, things, count, -1, 0.0, runs)
+    while count < len(things) and len(bound):
+        best = bound.argmax()
+        if bound[best] <= 0:
+            break
+        value = gain(views, sizes, sums, seen, candidates[best], how[0], runs, found)
+        if value < bound[best] - 1e-9:
+            bound[best] = value
+            continue
+        bound[best] = -1.0
+        thing = _refined(views, sizes, sums, seen, candidates[best].copy(), how[0], runs, found)
+        if _stands_alone(
+            views, sizes, weights0, sums0, spare, spare_sums, seen, things, count, -1, thing, how, runs, found
+        ):
+            things[count] = thing
+            count += 1
+            cover(views, sizes, weights, sums, thing, 0.0, runs)
+    return count
+
+
+@compiled
+def _settle(
+    views: Any,
+    sizes: Any,
+    weights0: Any,
+    sums0: Any,
+    spare: Any,
+    spare_sums: Any,
+    seen: Any,
+    things: Any,
+    count: int,
+    how: Any,
+    runs: Any,
+    found: Any,
+) -> int:
+    """Refine each cylinder beside the others, then drop, the weakest first, those that the others explain as well."""
+    weights, sums = weights0.copy(), sums0.copy()
+    for k in range(count):
+        weights[:], sums[:] = weights0, sums0
+        _cover_all(views, sizes, weights, sums, things, count, k, 0.0, runs)
+        things[k] = _refined(views, sizes, sums, seen, things[k].copy(), how[0], runs, found)
+    while count:
+        worst, least = -1, np.inf
+        for k in range(count):
+            weights[:], sums[:] = weights0, sums0
+            _cover_all(views, sizes, weights, sums, things, count, k, 0.0, runs)
+            value = gain(views, sizes, sums, seen, things[k], how[0], runs, found)
+            if value < least and (
+                value <= 0
+                or not _stands_alone(
+                    views, sizes, weights0, sums0, spare, spare_sums, seen, things, count, k, things[k], how, runs, found
+                )
+            ):
+                worst, least = k, value
+        if worst < 0:
+            break
+        for j in range(worst, count - 1):
+            things[j] = things[j + 1]
+        count -= 1
+    return count
+
+
+@compiled
+def objective(
+    views: Any, sizes: Any, weights0: Any, sums0: Any, seen: Any, things: Any, count: int, cost: float
+) -> float:
+    """The objective of a set of cylinders; a sample that several cover counts once."""
+    weights, sums, total = weights0.copy(), sums0.copy(), 0.0
+    runs, found = np.empty((weights.shape[2] + 1, 2), np.int64), np.empty(3)
+    for k in range(count):
+        total += gain(views, sizes, sums, seen, things[k], cost, runs, found)
+        cover(views, sizes, weights, sums, things[k], 0.0, runs)
+    return total
+
+
+@compiled
+def _solve(views: Any, sizes: Any, weights0: Any, sums0: Any, seen: Any, places: Any, before: Any, how: Any, most: int) -> Any:
+    runs, found = np.empty((weights0.shape[2] + 1, 2), np.int64), np.empty(3)
+    spare, spare_sums = weights0.copy(), sums0.copy()
+    candidates, values = _candidates(views, sizes, sums0, seen, places, how[0], runs, found)
+    best, n, total = np.zeros((most, 4)), 0, 0.0
+    for start in range(2):  # from nothing, and from the last instant's objects
+        if start == 1 and len(before) == 0:
+            break
+        things, count = np.zeros((most, 4)), 0
+        if start == 1:
+            for thing in before[:most]:
+                things[count] = thing
+                count += 1
+            count = _settle(
+                views, sizes, weights0, sums0, spare, spare_sums, seen, things, count, how, runs, found
+            )
+        count = _fill_up(
+            views, sizes, weights0, sums0, spare, spare_sums, seen, candidates, values, things, count, how, runs, found
+        )
+        count = _settle(views, sizes, weights0, sums0, spare, spare_sums, seen, things, count, how, runs, found)
+        value = objective(views, sizes, weights0, sums0, seen, things, count, how[0])
+        if start == 0 or value * (1 + how[8]) > total:
+            best, n, total = things, count, value
+    for attempt in range(4):  # one wide object may stand for two: try others first in its place
+        chosen = -1
+        for k in range(attempt, n):
+            gain(views, sizes, sums0, seen, best[k], how[0], runs, found)
+            if found[2] < 0.8 and best[k, 2] > 0.12:
+                chosen = k
+                break
+        if chosen < 0:
+            break
+        weights, sums = weights0.copy(), sums0.copy()
+        _cover_all(views, sizes, weights, sums, best, n, chosen, 0.0, runs)
+        left = np.empty(len(candidates))
+        for i in range(len(candidates)):
+            left[i] = gain(views, sizes, sums, seen, candidates[i], how[0], runs, found)
+        open_ = left.copy()
+        centre_x, centre_y = best[chosen, 0], best[chosen, 1]
+        for _ in range(6):
+            for i in range(len(candidates)):
+                if np.hypot(candidates[i, 0] - centre_x, candidates[i, 1] - centre_y) < 0.3:
+                    open_[i] = -1.0
+            first = open_.argmax() if len(open_) else 0
+            if len(open_) == 0 or open_[first] <= 0:
+                break
+            centre_x, centre_y = candidates[first, 0], candidates[first, 1]
+            things, count = np.zeros((most, 4)), 0
+            for j in range(n):
+                if j != chosen:
+                    things[count] = best[j]
+                    count += 1
+            things[count] = candidates[first]
+            count += 1
+            count = _fill_up(
+                views, sizes, weights0, sums0, spare, spare_sums, seen, candidates, left, things, count, how, runs, found
+            )
+            count = _settle(views, sizes, weights0, sums0, spare, spare_sums, seen, things, count, how, runs, found)
+            value = objective(views, sizes, weights0, sums0, seen, things, count, how[0])
+            if value > total + 1e-6:
+                best, n, total = things, count, value
+                break
+    return best[:n]
+
+
+@compiled
+def _hidden(views: Any, sizes: Any, seen: Any, things: Any, out: Any, by: Any) -> None:
+    runs = np.empty((seen.shape[2] + 1, 2), np.int64)
+    for k in range(len(views)):
+        columns, rows = sizes[k]
+        for i in range(len(things)):
+            first, last = silhouette(
+                views[k], columns, rows, things[i, 0], things[i, 1], things[i, 2], things[i, 3], runs
+            )
+            mine = runs[: last - first].copy()
+            covered = np.zeros((last - first, rows), np.bool_)
+            area = 0
+            for c in range(last - first):
+                area += seen[k, mine[c, 1], first + c] - seen[k, mine[c, 0], first + c]
+            distance = np.hypot(things[i, 0] - views[k, 0], things[i, 1] - views[k, 1])
+            most = 0
+            for j in range(len(things)):
+                if j == i or np.hypot(things[j, 0] - views[k, 0], things[j, 1] - views[k, 1]) >= distance:
+                    continue
+                start, stop = silhouette(
+                    views[k], columns, rows, things[j, 0], things[j, 1], things[j, 2], things[j, 3], runs
+                )
+                own = 0
+                for column in range(max(first, start), min(last, stop)):
+                    for row in range(
+                        max(mine[column - first, 0], runs[column - start, 0]),
+                        min(mine[column - first, 1], runs[column - start, 1]),
+                    ):
+                        if seen[k, row + 1, column] > seen[k, row, column]:
+                            covered[column - first, row] = True
+                            own += 1
+                if own > most:
+                    most, by[i, k] = own, j
+            out[i, k] = covered.sum() / area if area else np.nan
+
+
+# --- the stage -------------------------------------------------------------------------------------
+@dataclass(frozen=True)
+class PolarEvidence:
+    """The polar views of one instant.
+
+    Parameters
+    ----------
+    views
+        float64 (K, 8), from :attr:`occlib.registration.PolarWarp.parameters`.
+    sizes
+        int64 (K, 2), columns and rows of each view.
+    weights
+        int32 (K, rows, columns), -255 surely background to 255 surely foreground; 0 says nothing.
+    seen
+        Bool (K, rows, columns), samples that the camera sees.
+    """
+
+    views: FloatArray
+    sizes: npt.NDArray[np.int64]
+    weights: npt.NDArray[np.int32]
+    seen: Mask
+
+    @property
+    def sums(self) -> npt.NDArray[np.int32]:
+        """Running sums of the weights down the columns, int32 (K, rows + 1, columns)."""
+        return running_sums(self.weights)
+
+
+def running_sums(values: npt.NDArray[Any]) -> npt.NDArray[np.int32]:
+    """Sums of what lies above each row, int32 (K, rows + 1, columns)."""
+    sums = np.zeros((values.shape[0], values.shape[1] + 1, values.shape[2]), np.int32)
+    np.cumsum(values, axis=1, out=sums[:, 1:])
+    return sums
+
+
+def explain(
+    evidence: PolarEvidence,
+    places_m: npt.ArrayLike,
+    *,
+    before: Sequence[Cylinder] = (),
+    how: Explanation = Explanation(),
+) -> list[Cylinder]:
+    """The fewest plausible cylinders that explain the silhouettes of all views.
+
+    Parameters
+    ----------
+    evidence
+        What the views say.
+    places_m
+        Floor points (N, 2) in m where something may stand; see :func:`occlib.occlusion.standing_places`.
+    before
+        The last instant's cylinders, as a second start of the search.
+    how
+        Thresholds.
+
+    Returns
+    -------
+    The cylinders, those that explain most first. The same evidence gives the same cylinders.
+    """
+    places = np.asarray(places_m, dtype=np.float64).reshape(-1, 2)
+    last = np.array([[c.x, c.y, c.radius, c.height] for c in before], dtype=np.float64).reshape(-1, 4)
+    numbers = np.array(
+        [
+            how.cost,
+            how.background,
+            how.least_area_m2,
+            how.least_share,
+            how.fragment_share,
+            how.margin_m,
+            how.reach,
+            how.fragment_reach,
+            how.keep,
+        ]
+    )
+    seen = running_sums(evidence.seen)
+    things = _solve(
+        evidence.views, evidence.sizes, evidence.weights, evidence.sums, seen, places, last, numbers, how.most
+    )
+    return [Cylinder(*map(float, thing)) for thing in things]
+
+
+def occlusion_state(
+    evidence: PolarEvidence, things: Sequence[Cylinder]
+) -> tuple[FloatArray, npt.NDArray[np.int64]]:
+    """How much of each object nearer objects hide from each camera, from geometry.
+
+    Returns
+    -------
+    fractions
+        (N, K): 0 plain, 1 entirely hidden; NaN where the object lies outside the picture.
+    by
+        (N, K): index of the object that hides most of it, -1 if none does.
+    """
+    array = np.array([[c.x, c.y, c.radius, c.height] for c in things], dtype=np.float64).reshape(-1, 4)
+    fractions = np.zeros((len(array), len(evidence.views)))
+    by = np.full(fractions.shape, -1, np.int64)
+    if len(array):
+        _hidden(evidence.views, evidence.sizes, running_sums(evidence.seen), array, fractions, by)
+    return fractions, by
