@@ -38,8 +38,8 @@ def build_parser() -> argparse.ArgumentParser:
     p.add_argument("--out", required=True, metavar="DIR", help="where the results go")
     p.add_argument("--cameras", nargs="+", metavar="NAME", help="views to use; all of the rig by default")
     p.add_argument("--profile", default="recommended", metavar="NAME", help="recommended (default) or paper")
-    p.add_argument("--rule", metavar="NAME", help="fusion rule: and, or")
-    p.add_argument("--threshold", metavar="T", help="otsu, half-otsu, triangle, noise or grey levels")
+    p.add_argument("--rule", metavar="NAME", help="how views are joined: and, or, most, product, log-odds, explain")
+    p.add_argument("--threshold", metavar="T", help="evidence, otsu, half-otsu, triangle, noise or grey levels")
     p.add_argument("--frames", metavar="START:STOP:STEP", help="only these frames, as in 40:149:4")
     p.add_argument("--maps", action="store_true", help="a map of every frame, in DIR/maps")
 
@@ -142,24 +142,48 @@ def run(args: argparse.Namespace) -> int:
         print(
             f"no background/ for {', '.join(recording.without_background)}: learned from the frames; what never moves is not found"
         )
-    lines, out = [], Path(args.out)
+    lines, out, excluded = [], Path(args.out), dict[tuple[str, str], list[int]]()
     with staged_folder(out) as stage:
         pipeline = Pipeline(recording.rig, backgrounds_of(recording, progress=True), settings)
         for frame, images in tqdm(
             recording.images(frames), total=len(frames), unit="frame", desc=recording.path.name, disable=None
         ):
-            result = pipeline.process(images, recording.time(frame))
+            shown = {name: images.get(name) for name in recording.rig.cameras}  # None where a camera dropped out
+            result = pipeline.process(shown, recording.time(frame))
+            for camera_and_reason in result.excluded.items():
+                excluded.setdefault(camera_and_reason, []).append(frame)
             objects = [thing.to_dict() for thing in result.objects]
-            lines.append(json.dumps({"frame": frame, "time": round(result.time, 6), "objects": objects}))
+            line: dict[str, Any] = {"frame": frame, "time": round(result.time, 6), "objects": objects}
+            lines.append(json.dumps({**line, "excluded": result.excluded} if result.excluded else line))
             if args.maps:
                 save_map(stage / "maps" / f"{frame:06d}", result.map)
         title = f"{recording.path.name}, frame {frames[-1]}, rule {settings.rule}, profile {args.profile}"
-        picture = figure_png(overview(recording.rig, images, result, title=title, truth=known.get(frames[-1], [])))
+        picture = figure_png(overview(recording.rig, shown, result, title=title, truth=known.get(frames[-1], [])))
         save_map(stage / "map", result.map)
         write_file(stage / "overview.png", picture)
         write_file(stage / "objects.jsonl", "\n".join(lines) + "\n")
     print(f"{out}: objects.jsonl ({len(lines)} frames), map.pgm, map.yaml, overview.png")
+    for (name, reason), left_out in sorted(excluded.items(), key=lambda item: item[1][0]):
+        print(f"occlib run: warning: {name}: {reason} in {_spans(left_out, frames)}, left out", file=sys.stderr)
     return 0
+
+
+def _spans(some: Sequence[int], frames: Sequence[int], *, most: int = 6) -> str:
+    """Frames as ranges, of those that were run: "frames 4, 8 to 20 and 32"; one line, however many there are."""
+    if len(some) == len(frames):
+        return "all frames"
+    place = {frame: i for i, frame in enumerate(frames)}
+    runs: list[list[int]] = []
+    for frame in some:
+        if runs and place[frame] == place[runs[-1][-1]] + 1:
+            runs[-1].append(frame)
+        else:
+            runs.append([frame])
+    parts = [f"{r[0]} to {r[-1]}" if len(r) > 1 else f"{r[0]}" for r in runs[:most]]
+    if len(runs) > most:
+        parts[-1:] = [f"{sum(map(len, runs[most - 1 :]))} more up to {some[-1]}"]
+    text = " and ".join([", ".join(parts[:-1]), parts[-1]] if len(parts) > 1 else parts)
+    return f"frame{'s' if len(some) > 1 else ''} {text}"
 
 
 def _threshold(text: str | None) -> str | float | None:

@@ -49,7 +49,7 @@ from occlib.notebooks import (
     select_notebooks,
     uninterrupted,
 )
-from occlib.recordings import write_file
+from occlib.recordings import cache_folder, public_recordings, write_file
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -109,6 +109,16 @@ def record(name: str, value: float, *, unit: str = "", tolerance: float | None =
     texts = (_text(number), str(unit), _text(tolerance))
     metrics[name] = dict(zip(COLUMNS[1:], (_checked_name(name), *texts), strict=True))
     write_file(path, json.dumps(list(metrics.values()), indent=1))
+
+
+def keep_table(table: pd.DataFrame, name: str) -> None:
+    """Write a table as ``<name>.csv`` beside the executed notebook in ``runs/``, and nowhere else.
+
+    For numbers that not every machine can make again, such as those of a recording that does not ship: they are neither
+    published nor checked.
+    """
+    folder, _ = _run_folder()
+    write_file(folder / f"{_checked_name(name)}.csv", table.to_csv())
 
 
 def show_versions() -> None:
@@ -233,7 +243,8 @@ def _plan(home: Path, notebooks: Iterable[str | Path] | None, given: Mapping[str
     versions |= {library: importlib.metadata.version(library) for library in _LIBRARIES}
     versions |= {"platform": f"{platform.system()} {platform.machine()}"}
     shared = {"versions": versions, "occlib_sha256": folder_hash(PACKAGE)}
-    shared |= {"data_sha256": folder_hash(home / "data" / "lab")}
+    fetched = [name for name in public_recordings() if (cache_folder() / name).is_dir()]
+    shared |= {"data_sha256": folder_hash(home / "data"), "fetched": fetched}
     runs = []
     for path in select_notebooks(notebooks, home):
         defaults = notebook_parameters(path)

@@ -28,12 +28,20 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from occlib.geometry import FloatArray, Mask
+from occlib.geometry import FloatArray, Mask, as_points
 from occlib.kernels import compiled
 
 RADII = np.array([0.06, 0.085, 0.12, 0.16, 0.21, 0.28, 0.36])
 HEIGHTS = np.array([0.04, 0.06, 0.09, 0.13, 0.18, 0.24, 0.32, 0.42, 0.55, 0.72, 0.95, 1.2, 1.45, 1.7, 1.9])
 """Sizes tried at first, in m; the best are then refined freely between the limits of :func:`plausible`."""
+
+
+PERSON_M = 1.2
+"""What is as tall as a person has arms, legs and bags: nothing low within 0.5 m of its axis, nor anything tall within 0.3 m, is an
+object of its own."""
+RIM_M = 0.12
+"""Foreground that goes on within so many m in front of an object's base or above its top counts against the object: it begins
+where its silhouette begins. A ghost floats in the silhouettes of others."""
 
 
 @dataclass(frozen=True)
@@ -115,8 +123,12 @@ def silhouette(view: Any, columns: int, rows: int, x: float, y: float, radius: f
         top = np.arctan2(above, far if above > 0 else near)
         low = int(np.ceil((top - view[5]) / view[6]))
         high = int(np.floor((np.arctan2(view[2], near) - view[5]) / view[6])) + 1
-        out[column - first, 0] = min(max(low, 0), rows)
-        out[column - first, 1] = max(min(max(high, 0), rows), out[column - first, 0])
+        low = min(max(low, 0), rows)
+        high = max(min(max(high, 0), rows), low)
+        out[column - first, 0], out[column - first, 1] = low, high
+        # what lies in front of the base and above the top, a hand's breadth: 12 cm, seen at this distance
+        nearby = int(RIM_M / np.hypot(near, view[2]) / view[6])
+        out[column - first, 2], out[column - first, 3] = max(low - nearby, 0), min(high + nearby, rows)
     return first, max(first, last)
 
 
@@ -126,14 +138,16 @@ def gain(views: Any, sizes: Any, sums: Any, seen: Any, thing: Any, cost: float, 
     total, area, square, share = 0.0, 0.0, 0.0, 0.0
     for k in range(len(views)):
         first, last = silhouette(views[k], sizes[k, 0], sizes[k, 1], thing[0], thing[1], thing[2], thing[3], runs)
-        explained, covered = 0, 0
+        explained, covered, beyond = 0, 0, 0
         for column in range(first, last):
             low, high = runs[column - first, 0], runs[column - first, 1]
             explained += sums[k, high, column] - sums[k, low, column]
             covered += seen[k, high, column] - seen[k, low, column]
+            beyond += max(sums[k, low, column] - sums[k, runs[column - first, 2], column], 0)
+            beyond += max(sums[k, runs[column - first, 3], column] - sums[k, high, column], 0)
         distance = np.hypot(thing[0] - views[k, 0], thing[1] - views[k, 1])
         part = explained / 255.0
-        total += part * views[k, 7]
+        total += (part - beyond / 255.0) * views[k, 7]
         area += covered * views[k, 7]
         square += part * (views[k, 6] * np.hypot(distance, views[k, 2] - thing[3] / 2)) ** 2
         if covered > 0:
@@ -169,17 +183,21 @@ def _cover_all(
 
 
 @compiled
-def _refined(views: Any, sizes: Any, sums: Any, seen: Any, thing: Any, cost: float, runs: Any, found: Any) -> Any:
-    """The cylinder moved and sized, step by step, to where it explains most."""
+def _refined(
+    views: Any, sizes: Any, sums: Any, seen: Any, thing: Any, cost: float, step0: float, runs: Any, found: Any
+) -> Any:
+    """The cylinder moved and sized, in steps of ``step0`` m and ever smaller ones, to where it explains most."""
     best = gain(views, sizes, sums, seen, thing, cost, runs, found)
-    for height in HEIGHTS:  # the height has far optima: a body is cut at the belt, or goes on in one that stands behind
+    for height in (
+        HEIGHTS if step0 > 0.03 else HEIGHTS[:0]
+    ):  # the height has far optima: a body is cut at the belt, or goes on in one that stands behind
         if plausible(thing[2], height):
             other = thing.copy()
             other[3] = height
             value = gain(views, sizes, sums, seen, other, cost, runs, found)
             if value > best + 1e-6:
                 best, thing = value, other
-    step = np.array([0.06, 0.06, 0.03, max(0.02, 0.1 * thing[3])])
+    step = step0 * np.array([1.0, 1.0, 0.5, max(0.33, 1.67 * thing[3])])
     for _ in range(14):
         improved = False
         for i in range(4):
@@ -190,9 +208,21 @@ def _refined(views: Any, sizes: Any, sums: Any, seen: Any, thing: Any, cost: flo
                     value = gain(views, sizes, sums, seen, other, cost, runs, found)
                     if value > best + 1e-6:
                         best, thing, improved = value, other, True
+        for k in range(len(views)):  # along the sight-line of one view: farther and lower looks the same to it
+            dx, dy = thing[0] - views[k, 0], thing[1] - views[k, 1]
+            distance = np.hypot(dx, dy)
+            for sign in (1.0, -1.0):
+                other = thing.copy()
+                other[0] += sign * step[0] * dx / distance
+                other[1] += sign * step[0] * dy / distance
+                other[3] -= sign * step[0] * (views[k, 2] - thing[3]) / distance
+                if plausible(other[2], other[3]):
+                    value = gain(views, sizes, sums, seen, other, cost, runs, found)
+                    if value > best + 1e-6:
+                        best, thing, improved = value, other, True
         if not improved:
             step /= 2
-            if step[0] < 0.003:
+            if step[0] < 0.004:
                 break
     return thing
 
@@ -247,6 +277,8 @@ def _stands_alone(
         if j != but:
             cover(views, sizes, spare, spare_sums, things[j], margin + reach * things[j, 3], runs)
             apart = np.hypot(things[j, 0] - thing[0], things[j, 1] - thing[1])
+            if things[j, 3] >= PERSON_M and apart < (0.5 if thing[3] < 0.6 * things[j, 3] else 0.3):
+                return False
             towered = towered or (thing[3] < 0.6 * things[j, 3] and apart < 0.3 + 0.5 * things[j, 3])
     gain(views, sizes, spare_sums, seen, thing, 0.0, runs, found)
     if found[0] < area or found[1] < share:
@@ -288,7 +320,7 @@ def _fill_up(
             bound[best] = value
             continue
         bound[best] = -1.0
-        thing = _refined(views, sizes, sums, seen, candidates[best].copy(), how[0], runs, found)
+        thing = _refined(views, sizes, sums, seen, candidates[best].copy(), how[0], 0.06, runs, found)
         if _stands_alone(
             views, sizes, weights0, sums0, spare, spare_sums, seen, things, count, -1, thing, how, runs, found
         ):
@@ -312,13 +344,14 @@ def _settle(
     how: Any,
     runs: Any,
     found: Any,
+    step0: float,
 ) -> int:
     """Refine each cylinder beside the others, then drop, the weakest first, those that the others explain as well."""
     weights, sums = weights0.copy(), sums0.copy()
     for k in range(count):
         weights[:], sums[:] = weights0, sums0
         _cover_all(views, sizes, weights, sums, things, count, k, 0.0, runs)
-        things[k] = _refined(views, sizes, sums, seen, things[k].copy(), how[0], runs, found)
+        things[k] = _refined(views, sizes, sums, seen, things[k].copy(), how[0], step0, runs, found)
     while count:
         worst, least = -1, np.inf
         for k in range(count):
@@ -328,7 +361,20 @@ def _settle(
             if value < least and (
                 value <= 0
                 or not _stands_alone(
-                    views, sizes, weights0, sums0, spare, spare_sums, seen, things, count, k, things[k], how, runs, found
+                    views,
+                    sizes,
+                    weights0,
+                    sums0,
+                    spare,
+                    spare_sums,
+                    seen,
+                    things,
+                    count,
+                    k,
+                    things[k],
+                    how,
+                    runs,
+                    found,
                 )
             ):
                 worst, least = k, value
@@ -346,7 +392,7 @@ def objective(
 ) -> float:
     """The objective of a set of cylinders; a sample that several cover counts once."""
     weights, sums, total = weights0.copy(), sums0.copy(), 0.0
-    runs, found = np.empty((weights.shape[2] + 1, 2), np.int64), np.empty(3)
+    runs, found = np.empty((weights.shape[2] + 1, 4), np.int64), np.empty(3)
     for k in range(count):
         total += gain(views, sizes, sums, seen, things[k], cost, runs, found)
         cover(views, sizes, weights, sums, things[k], 0.0, runs)
@@ -354,29 +400,40 @@ def objective(
 
 
 @compiled
-def _solve(views: Any, sizes: Any, weights0: Any, sums0: Any, seen: Any, places: Any, before: Any, how: Any, most: int) -> Any:
-    runs, found = np.empty((weights0.shape[2] + 1, 2), np.int64), np.empty(3)
+def _solve(
+    views: Any, sizes: Any, weights0: Any, sums0: Any, seen: Any, places: Any, before: Any, how: Any, most: int
+) -> Any:
+    runs, found = np.empty((weights0.shape[2] + 1, 4), np.int64), np.empty(3)
     spare, spare_sums = weights0.copy(), sums0.copy()
-    candidates, values = _candidates(views, sizes, sums0, seen, places, how[0], runs, found)
     best, n, total = np.zeros((most, 4)), 0, 0.0
-    for start in range(2):  # from nothing, and from the last instant's objects
-        if start == 1 and len(before) == 0:
-            break
-        things, count = np.zeros((most, 4)), 0
-        if start == 1:
-            for thing in before[:most]:
-                things[count] = thing
-                count += 1
-            count = _settle(
-                views, sizes, weights0, sums0, spare, spare_sums, seen, things, count, how, runs, found
-            )
-        count = _fill_up(
-            views, sizes, weights0, sums0, spare, spare_sums, seen, candidates, values, things, count, how, runs, found
+    if len(before):  # from the last instant's objects, and what they leave
+        for thing in before[:most]:
+            best[n] = thing
+            n += 1
+        n = _settle(views, sizes, weights0, sums0, spare, spare_sums, seen, best, n, how, runs, found, 0.03)
+        spare[:], spare_sums[:] = weights0, sums0
+        _cover_all(views, sizes, spare, spare_sums, best, n, -1, how[5], runs)
+        candidates, values = _candidates(views, sizes, spare_sums, seen, places, how[0], runs, found)
+        known = n
+        n = _fill_up(
+            views, sizes, weights0, sums0, spare, spare_sums, seen, candidates, values, best, n, how, runs, found
         )
-        count = _settle(views, sizes, weights0, sums0, spare, spare_sums, seen, things, count, how, runs, found)
-        value = objective(views, sizes, weights0, sums0, seen, things, count, how[0])
-        if start == 0 or value * (1 + how[8]) > total:
-            best, n, total = things, count, value
+        if n > known:
+            n = _settle(views, sizes, weights0, sums0, spare, spare_sums, seen, best, n, how, runs, found, 0.06)
+        total = objective(views, sizes, weights0, sums0, seen, best, n, how[0]) * (1 + how[8])
+        spare[:], spare_sums[:] = weights0, sums0
+        _cover_all(views, sizes, spare, spare_sums, best, n, -1, how[5], runs)
+        if np.maximum(spare, 0).sum() <= 0.1 * np.maximum(weights0, 0).sum():
+            return best[:n]  # nothing of weight is left: no need to begin anew
+    candidates, values = _candidates(views, sizes, sums0, seen, places, how[0], runs, found)
+    things = np.zeros((most, 4))
+    count = _fill_up(
+        views, sizes, weights0, sums0, spare, spare_sums, seen, candidates, values, things, 0, how, runs, found
+    )
+    count = _settle(views, sizes, weights0, sums0, spare, spare_sums, seen, things, count, how, runs, found, 0.06)
+    value = objective(views, sizes, weights0, sums0, seen, things, count, how[0])
+    if value > total:
+        best, n, total = things, count, value
     for attempt in range(4):  # one wide object may stand for two: try others first in its place
         chosen = -1
         for k in range(attempt, n):
@@ -409,9 +466,24 @@ def _solve(views: Any, sizes: Any, weights0: Any, sums0: Any, seen: Any, places:
             things[count] = candidates[first]
             count += 1
             count = _fill_up(
-                views, sizes, weights0, sums0, spare, spare_sums, seen, candidates, left, things, count, how, runs, found
+                views,
+                sizes,
+                weights0,
+                sums0,
+                spare,
+                spare_sums,
+                seen,
+                candidates,
+                left,
+                things,
+                count,
+                how,
+                runs,
+                found,
             )
-            count = _settle(views, sizes, weights0, sums0, spare, spare_sums, seen, things, count, how, runs, found)
+            count = _settle(
+                views, sizes, weights0, sums0, spare, spare_sums, seen, things, count, how, runs, found, 0.06
+            )
             value = objective(views, sizes, weights0, sums0, seen, things, count, how[0])
             if value > total + 1e-6:
                 best, n, total = things, count, value
@@ -421,7 +493,7 @@ def _solve(views: Any, sizes: Any, weights0: Any, sums0: Any, seen: Any, places:
 
 @compiled
 def _hidden(views: Any, sizes: Any, seen: Any, things: Any, out: Any, by: Any) -> None:
-    runs = np.empty((seen.shape[2] + 1, 2), np.int64)
+    runs = np.empty((seen.shape[2] + 1, 4), np.int64)
     for k in range(len(views)):
         columns, rows = sizes[k]
         for i in range(len(things)):
@@ -477,6 +549,19 @@ class PolarEvidence:
     weights: npt.NDArray[np.int32]
     seen: Mask
 
+    def __post_init__(self) -> None:
+        shape = self.weights.shape  # the compiled loops look up without checking
+        if self.weights.ndim != 3 or self.weights.dtype != np.int32:
+            raise ValueError(f"weights: expected int32 (K, rows, columns), got {self.weights.dtype} {shape}")
+        if self.seen.shape != shape or self.seen.dtype != np.bool_:
+            raise ValueError(f"seen: expected bool {shape}, got {self.seen.dtype} {self.seen.shape}")
+        if self.views.shape != (shape[0], 8) or not np.isfinite(self.views).all():
+            raise ValueError(f"views: expected {(shape[0], 8)} finite numbers, got {self.views.shape}")
+        if self.sizes.shape != (shape[0], 2) or not ((self.sizes >= 0) & (self.sizes <= shape[:0:-1])).all():
+            raise ValueError(
+                f"sizes: expected {shape[0]} times columns, rows up to {shape[:0:-1]}, got {self.sizes.tolist()}"
+            )
+
     @property
     def sums(self) -> npt.NDArray[np.int32]:
         """Running sums of the weights down the columns, int32 (K, rows + 1, columns)."""
@@ -486,8 +571,23 @@ class PolarEvidence:
 def running_sums(values: npt.NDArray[Any]) -> npt.NDArray[np.int32]:
     """Sums of what lies above each row, int32 (K, rows + 1, columns)."""
     sums = np.zeros((values.shape[0], values.shape[1] + 1, values.shape[2]), np.int32)
-    np.cumsum(values, axis=1, out=sums[:, 1:])
+    _accumulate(values, sums)
     return sums
+
+
+@compiled
+def _accumulate(values: Any, sums: Any) -> None:
+    for k in range(values.shape[0]):
+        for row in range(values.shape[1]):
+            for column in range(values.shape[2]):
+                sums[k, row + 1, column] = sums[k, row, column] + values[k, row, column]
+
+
+def _as_array(things: Sequence[Cylinder], name: str) -> FloatArray:
+    array = np.array([[c.x, c.y, c.radius, c.height] for c in things], dtype=np.float64).reshape(-1, 4)
+    if not (np.isfinite(array).all() and (array[:, 2:] > 0).all()):
+        raise ValueError(f"{name}: expected finite places and sizes > 0, got {list(things)}")
+    return array
 
 
 def explain(
@@ -513,9 +613,15 @@ def explain(
     Returns
     -------
     The cylinders, those that explain most first. The same evidence gives the same cylinders.
+
+    Raises
+    ------
+    ValueError
+        Places of another shape or not finite, or a cylinder of before that is none.
     """
-    places = np.asarray(places_m, dtype=np.float64).reshape(-1, 2)
-    last = np.array([[c.x, c.y, c.radius, c.height] for c in before], dtype=np.float64).reshape(-1, 4)
+    places, last = as_points(places_m, name="places_m"), _as_array(before, "before")
+    if not np.isfinite(places).all():
+        raise ValueError("places_m: expected finite numbers, got NaN or infinity")
     numbers = np.array(
         [
             how.cost,
@@ -536,9 +642,7 @@ def explain(
     return [Cylinder(*map(float, thing)) for thing in things]
 
 
-def occlusion_state(
-    evidence: PolarEvidence, things: Sequence[Cylinder]
-) -> tuple[FloatArray, npt.NDArray[np.int64]]:
+def occlusion_state(evidence: PolarEvidence, things: Sequence[Cylinder]) -> tuple[FloatArray, npt.NDArray[np.int64]]:
     """How much of each object nearer objects hide from each camera, from geometry.
 
     Returns
@@ -547,8 +651,13 @@ def occlusion_state(
         (N, K): 0 plain, 1 entirely hidden; NaN where the object lies outside the picture.
     by
         (N, K): index of the object that hides most of it, -1 if none does.
+
+    Raises
+    ------
+    ValueError
+        A place or size that is not finite, or a size that is not positive.
     """
-    array = np.array([[c.x, c.y, c.radius, c.height] for c in things], dtype=np.float64).reshape(-1, 4)
+    array = _as_array(things, "things")
     fractions = np.zeros((len(array), len(evidence.views)))
     by = np.full(fractions.shape, -1, np.int64)
     if len(array):

@@ -75,7 +75,11 @@ class Background:
         image = self.image.astype(np.float32)
         mean = cv2.blur(image, (5, 5))
         texture = np.sqrt(np.maximum(cv2.blur(image * image, (5, 5)) - mean * mean, 0)).max(axis=2)
-        return cv2.GaussianBlur(image, (3, 3), 0), texture.astype(np.float32), 3.0 * self.noise
+        return (
+            np.asarray(cv2.GaussianBlur(image, (3, 3), 0), np.float32),
+            np.asarray(texture, np.float32),
+            3.0 * self.noise,
+        )
 
     def save(self, path: str | Path) -> Path:
         """Write as ``.npz``; :meth:`load` reads it back equal."""
@@ -545,6 +549,8 @@ class ShadowModel:
         Share of the background's own contrast within 5 px that is added to the thresholds: edges tremble.
     steepness
         How fast evidence becomes sure on either side of a threshold.
+    depth
+        The same for darkness beyond ``darkest``, relative to ``steepness``: a deep shadow looks much like a dark object.
     """
 
     chroma: float = 0.05
@@ -554,6 +560,7 @@ class ShadowModel:
     least_step: float = 14.0
     texture: float = 0.15
     steepness: float = 2.5
+    depth: float = 0.5
 
 
 def foreground_evidence(image: Image, background: Background, *, shadows: ShadowModel = ShadowModel()) -> Image:
@@ -584,6 +591,7 @@ def foreground_evidence(image: Image, background: Background, *, shadows: Shadow
             max(shadows.least_step, least),
             shadows.texture,
             shadows.steepness,
+            shadows.depth,
         ],
         np.float32,
     )
@@ -599,7 +607,7 @@ def channel_gain_offset(image: Image, background: Image, channel: int) -> tuple[
 
 @compiled
 def _evidence(image: Any, background: Any, texture: Any, gains: Any, how: Any, out: Any) -> None:
-    chroma_share, least_chroma, darkest, bright, least_step, per_texture, steepness = how
+    chroma_share, least_chroma, darkest, bright, least_step, per_texture, steepness, depth = how
     # neither chroma nor step exceeds the change itself: most pixels are found to be background without a root
     inverse = 1 / least_chroma**2 + 1 / (1.73 * least_step) ** 2
     nothing = np.float32(max(1 - 1 / steepness, 0.0) ** 2 / inverse)
@@ -628,6 +636,8 @@ def _evidence(image: Any, background: Any, texture: Any, gains: Any, how: Any, o
             step = (alpha - 1) * level  # in units of a grey pixel's three channels: 1.73 levels each
             if step < 0:
                 brightness = min((1 - alpha) / (1 - darkest), -step / (np.float32(1.73) * (least_step + 2 * spare)))
+                if brightness > 1:
+                    brightness = 1 + depth * (brightness - 1)
             else:
                 brightness = step / (max(bright * level, np.float32(1.73) * least_step) + 3 * spare)
             score = np.sqrt(chroma * chroma + brightness * brightness)
@@ -647,6 +657,7 @@ def foreground_evidence_naive(image: Image, background: Background, *, shadows: 
     chroma /= np.maximum(shadows.chroma * level, max(shadows.least_chroma, 0.5 * least)) + spare
     least = 1.73 * max(shadows.least_step, least)
     darker = np.minimum((1 - alpha) / (1 - shadows.darkest), (1 - alpha) * level / (least + 2 * 1.73 * spare))
+    darker = np.where(darker > 1, 1 + shadows.depth * (darker - 1), darker)
     brighter = (alpha - 1) * level / (np.maximum(shadows.bright * level, least) + 3 * spare)
     score = np.hypot(chroma, np.where(alpha < 1, darker, brighter))
     evidence = np.clip(127.5 * (1 + (score - 1) * shadows.steepness), 0, 255).astype(np.uint8)

@@ -188,10 +188,16 @@ class Camera:
         """
         u, v = np.meshgrid(np.linspace(0, self.size[0] - 1, 12), np.linspace(0, self.size[1] - 1, 12))
         pixels = np.column_stack([u.ravel(), v.ravel()])
-        floor = apply_homography(self.image_to_floor, self.undistort_points(pixels))
+        straight = self.undistort_points(pixels)
+        radius = np.hypot(*((straight - self.matrix[:2, 2]) / self.matrix[[0, 1], [0, 1]]).T)
+        valid = (np.abs(self.distort_points(straight) - pixels).max(axis=1) < 0.1) & (radius**2 < self._valid_radius2)
+        pixels, straight = pixels[valid], straight[valid]  # beyond the fold of the distortion nothing can be inverted
+        floor = apply_homography(self.image_to_floor, straight)
         depth = floor @ rotation[2, :2] + translation[2]
         with np.errstate(invalid="ignore"):
-            seen = (depth > 1e-9) & (np.hypot(*(floor + (rotation.T @ translation)[:2]).T) < 10 * self._elevation(rotation, translation))
+            seen = (depth > 1e-9) & (
+                np.hypot(*(floor + (rotation.T @ translation)[:2]).T) < 10 * self._elevation(rotation, translation)
+            )
         if seen.sum() < 12:
             return rotation, translation
         points = np.column_stack([floor[seen], np.zeros(int(seen.sum()))])
@@ -200,7 +206,12 @@ class Camera:
         if np.abs(self.distort_points(ideal) - pixels[seen]).max() < 0.01:  # from a pose, not from marks
             return rotation, translation
         turn, shift = cv2.solvePnPRefineLM(
-            points, pixels[seen], self.matrix, self.distortion, cv2.Rodrigues(rotation)[0], translation.reshape(3, 1).copy()
+            points,
+            pixels[seen],
+            self.matrix,
+            self.distortion,
+            cv2.Rodrigues(rotation)[0],
+            translation.reshape(3, 1).copy(),
         )
         return np.asarray(cv2.Rodrigues(turn)[0], float), np.asarray(shift, float).reshape(3)
 

@@ -23,7 +23,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from occlib.recordings import write_file
+from occlib.recordings import Recording, open_recording, write_file
 
 PACKAGE = Path(__file__).parent
 _ONE_THREAD = (
@@ -303,6 +303,45 @@ def _kill(process: subprocess.Popen[bytes]) -> None:
                 child.kill()
     process.kill()
     process.wait()
+
+
+# --- in a notebook that needs a recording which does not ship
+
+
+def open_or_stop(name: str | Path) -> Recording | None:
+    """The recording; where it was not fetched, a line that says so, and the rest of the notebook does nothing.
+
+    The run then succeeds, in Jupyter as under papermill: every later cell is emptied before it is executed, until the
+    recording is there. To be called in a cell's last line.
+
+    Returns
+    -------
+    The recording, or ``None`` outside IPython, where nothing can be held back, if it was not fetched.
+
+    Raises
+    ------
+    ValueError
+        As :func:`occlib.recordings.open_recording`, for a recording that is there and damaged, or not known.
+    """
+    try:
+        return open_recording(name)
+    except ValueError as error:
+        if "not fetched" not in str(error):
+            raise
+        print(f"{error}. Without it this notebook ends here.")
+    with suppress(ImportError):
+        from IPython import get_ipython
+
+        if shell := get_ipython():
+            shell.input_transformers_cleanup.append(lambda lines: lines if _at_hand(name) else ["pass\n"])
+    return None
+
+
+def _at_hand(name: str | Path) -> bool:
+    with suppress(ValueError):
+        open_recording(name)
+        return True
+    return False
 
 
 # --- student copies

@@ -75,7 +75,9 @@ def fuse(evidence: Sequence[Image], rule: str = "and", *, visible: Sequence[Mask
     if rule in ("and", "or") or (rule == "planes" and len(views[0]) == 0):
         return _extreme(views, np.minimum if rule == "and" else np.maximum, visible)
     if rule == "planes":
-        level = np.stack([_extreme([v[p] for v in views], np.minimum, _plane(visible, p)) for p in range(len(views[0]))])
+        level = np.stack(
+            [_extreme([v[p] for v in views], np.minimum, _plane(visible, p)) for p in range(len(views[0]))]
+        )
         return _as_evidence(_as_probability(level).mean(axis=0), views[0].dtype)
     seen = np.ones((len(views), *views[0].shape), bool) if visible is None else np.stack(visible)
     return _joint(np.stack(views), seen, rule)

@@ -34,6 +34,8 @@ from occlib.tracking import ObjectVector, Observation, Tracker
 
 HIDDEN = 0.9
 """An object is *hidden* in a view from this fraction on."""
+HIDDEN_ESTIMATE = 0.95
+"""The same for the estimate from cylinders, which lose a little of what still sticks out."""
 PLANES_M = (0.0, 0.1, 0.3, 0.6, 1.0, 1.4)
 """Heights at which something that stands is looked for: where feet are hidden, the body still places it."""
 
@@ -93,6 +95,7 @@ class Settings:
 
 PROFILES = {
     "recommended": Settings(),
+    "and": Settings(threshold="half-otsu", rule="and"),
     "paper": Settings(
         colour=False,
         threshold="otsu",
@@ -106,6 +109,7 @@ PROFILES = {
     ),
 }
 """``paper``: grey difference, Otsu, AND, centroid, as far as the paper says; noise floor and tracker are ours.
+``and``: the AND rule with what helps it most: colour, half of Otsu, fragments joined, neighbours parted, ghosts dropped.
 ``recommended``: the best that is known, chosen on the recordings of ``data/lab`` and on ufes-lab."""
 
 
@@ -215,15 +219,19 @@ class Pipeline:
         if missing:
             raise ValueError(f"images: expected one for every camera, missing {', '.join(missing)}")
         for name in self.rig.cameras:
-            if images[name] is not None:
-                check_size(images[name], self.rig[name].size, f"image of {name}")
+            if (image := images[name]) is not None:
+                check_size(image, self.rig[name].size, f"image of {name}")
         self.tracker.check_time(time)
         excluded = self.monitor.check(images)
         frames = {n: image for n in self.rig.cameras if n not in excluded and (image := images[n]) is not None}
         evidence = {name: self.evidence(name, image) for name, image in frames.items()}
         floor = {name: self.warps[name].warp(picture) for name, (picture, _, _) in evidence.items()}
         views = {name: floor[name] > level for name, (_, level, _) in evidence.items()}
-        occupied = self._fused(views, "and" if self._explainer else self.settings.rule)
+        if self.settings.rule in ("product", "log-odds"):
+            soft = {n: _weights(level)[floor[n]] / 510 + 0.5 for n, (_, level, _) in evidence.items()}
+            occupied = self._fused(soft, self.settings.rule)
+        else:
+            occupied = self._fused(views, "and" if self._explainer else self.settings.rule)
         if self._explainer:
             things = self._explainer.explain({name: (e[0], e[1]) for name, e in evidence.items()})
             labels, seen, hidden, by = self._explained(things, occupied, frames)
@@ -234,7 +242,15 @@ class Pipeline:
         objects = self.tracker.update(seen, time)
         grid, reason = self._map(labels, views, occupied)
         return FrameResult(
-            time, views, occupied, labels, grid, reason, objects, excluded, _hidden_by(objects, hidden, by, list(frames))
+            time,
+            views,
+            occupied,
+            labels,
+            grid,
+            reason,
+            objects,
+            excluded,
+            _hidden_by(objects, hidden, by, list(frames)),
         )
 
     def evidence(self, name: str, image: Image) -> tuple[Image, int, int]:
@@ -253,14 +269,13 @@ class Pipeline:
         # whole levels: the same decision on whole grey levels, without a detour through floats
         return difference, int(level), int(max(level, how.core * found))
 
-    def _fused(self, views: Mapping[str, Mask], rule: str) -> Mask:
+    def _fused(self, views: Mapping[str, Image], rule: str) -> Mask:
+        """The cells that the rule calls occupied, from masks, or from probabilities."""
         if not views:
             return np.zeros(self.rig.floor.shape, bool)
         visible = [self._visible[name] for name in views]
-        if all(seen.all() for seen in visible):
-            fused = np.asarray(fuse(list(views.values()), rule), dtype=bool)
-        else:
-            fused = np.asarray(fuse(list(views.values()), rule, visible=visible), dtype=bool)
+        everywhere = all(seen.all() for seen in visible)
+        fused = fuse(list(views.values()), rule, visible=None if everywhere else visible) > 0.5
         return fused if rule == "or" else fused & (np.sum(visible, axis=0) >= self._needed)
 
     # --- objects that explain the silhouettes ------------------------------------------------------
@@ -273,7 +288,9 @@ class Pipeline:
         areas = np.bincount(labels.ravel(), minlength=len(things) + 1)[1:] * self.rig.floor.cell_area
         colours = self._colours(things, hidden, frames)
         seen = [
-            Observation((t.x, t.y), float(areas[i]), colours[i], hidden_in=_hidden_in(hidden[i], frames))
+            Observation(
+                (t.x, t.y), float(areas[i]), colours[i], hidden_in=_hidden_in(hidden[i], frames, HIDDEN_ESTIMATE)
+            )
             for i, t in enumerate(things)
         ]
         return labels, seen, hidden, by
@@ -343,7 +360,7 @@ class Pipeline:
             position_m=(x, y),
             area_m2=region.area * floor.cell_area,
             colour=self._colour(region, labels, best, frames[best]),
-            hidden_in=_hidden_in(hidden, frames),
+            hidden_in=_hidden_in(hidden, frames, HIDDEN),
         )
 
     def _colour(self, region: Region, labels: Image, name: str, image: Image) -> tuple[int, int, int]:
@@ -382,11 +399,10 @@ class Pipeline:
 class _Explainer:
     """Turns the views' evidence into polar views, and keeps the last instant's objects."""
 
-    def __init__(self, rig: Rig, backgrounds: Mapping[str, Background], how: Explanation = Explanation()) -> None:
-        self.how, self.before = how, list[Cylinder]()
+    def __init__(self, rig: Rig, backgrounds: Mapping[str, Background], how: Explanation | None = None) -> None:
+        self.how, self.before = how or Explanation(), list[Cylinder]()
         names = list(rig.cameras)
-        # a picture of 1288 px is not sampled finer than one of 640: the objects are no smaller
-        self.polar = {n: PolarWarp(c, rig.floor, max(2.0, 3.0 * c.size[0] / 1288)) for n, c in rig.cameras.items()}
+        self.polar = {name: PolarWarp(camera, rig.floor) for name, camera in rig.cameras.items()}
         self.views = np.array([self.polar[name].parameters for name in names])
         self.sizes = np.array([self.polar[name].shape[::-1] for name in names], np.int64)
         columns, rows = self.sizes.max(axis=0)
@@ -398,8 +414,8 @@ class _Explainer:
             self.seen[window] = warp.visible
             # a dark background says little against a dark object
             light = warp.warp(cv2.GaussianBlur(backgrounds[name].image, (9, 9), 0)).mean(axis=2)
-            self.certain[window] = np.clip((light - 20) / 60, 0.15, 1) * how.background
-        coarse = Floor(rig.floor.x, rig.floor.y, max(how.grid_m, rig.floor.resolution))
+            self.certain[window] = np.clip((light - 20) / 60, 0.15, 1) * self.how.background
+        coarse = Floor(rig.floor.x, rig.floor.y, max(self.how.grid_m, rig.floor.resolution))
         self.coarse = coarse
         self.planes = {n: [FloorWarp(c, coarse, h) for h in PLANES_M] for n, c in rig.cameras.items()}
         self.names = names
@@ -418,7 +434,7 @@ class _Explainer:
         if not votes:
             self.before = []
             return []
-        places = standing_places(votes, visible, self.coarse, level=0, views=min(2, len(self.names), len(votes)))
+        places = standing_places(votes, visible, self.coarse, level=0, views=min(2, len(self.names)))
         self.before = explain(
             PolarEvidence(self.views, self.sizes, weights, self._working(evidence)),
             places,
@@ -471,8 +487,8 @@ def footprints(things: Sequence[Cylinder], occupied: Mask, floor: Floor) -> npt.
     return labels
 
 
-def _hidden_in(hidden: FloatArray, cameras: Iterable[str]) -> tuple[str, ...]:
-    return tuple(name for name, fraction in zip(cameras, hidden, strict=True) if fraction >= HIDDEN)
+def _hidden_in(hidden: FloatArray, cameras: Iterable[str], limit: float) -> tuple[str, ...]:
+    return tuple(name for name, fraction in zip(cameras, hidden, strict=True) if fraction >= limit)
 
 
 def _hidden_by(

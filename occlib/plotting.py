@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
+import cv2
 import numpy as np
 import numpy.typing as npt
 from matplotlib.axes import Axes
@@ -21,13 +22,17 @@ from matplotlib.patheffects import withStroke
 from occlib.geometry import Camera, FloatArray, Floor, Image, Mask, Rig
 
 if TYPE_CHECKING:
+    from occlib.explaining import Cylinder
     from occlib.mapping import OccupancyMap
     from occlib.matching import Match
     from occlib.pipeline import FrameResult
+    from occlib.registration import PolarWarp
     from occlib.tracking import ObjectVector
 
 CAMERA_COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00", "#F0E442", "#000000")
 TRUTH_COLOUR = "#D55E00"
+REASON_COLOURS = {1: "#BFBFBF", 2: "#FBE3B5", 3: "#D9C9E8"}
+"""Why a cell is unknown, :data:`occlib.mapping.REASONS`: grey, pale orange, pale violet; in grey print from dark to light."""
 
 
 def camera_colours(names: Sequence[str]) -> dict[str, str]:
@@ -51,6 +56,26 @@ def show_image(ax: Axes, image: Image, title: str = "", *, colour: str | None = 
     return picture
 
 
+def show_view(
+    ax: Axes, camera: Camera, image: Image | None, title: str = "", *, colour: str | None = None, reason: str = ""
+) -> None:
+    """A camera's picture or, where it has none, an empty panel of its size; across it why the camera was left out, if it was.
+
+    Parameters
+    ----------
+    image
+        uint8 RGB (H, W, 3), ``None`` if the camera has dropped out.
+    reason
+        As in ``FrameResult.excluded``; empty if the camera was used.
+    """
+    width, height = camera.size
+    show_image(ax, np.full((height, width, 3), 235, np.uint8) if image is None else image, title, colour=colour)
+    if image is None or reason:
+        text = "no picture" if image is None else f"{reason}, not used"
+        ax.text(0.5, 0.5, text, transform=ax.transAxes, ha="center", va="center", color="0.1", fontsize=12,
+                bbox={"boxstyle": "round", "facecolor": "white", "edgecolor": "0.6"})  # fmt: skip
+
+
 def show_floor(ax: Axes, values: npt.NDArray[Any], floor: Floor, title: str = "", **options: Any) -> AxesImage:
     """A floor array (ny, nx) or (ny, nx, 3) with axes in metres."""
     if values.ndim == 2:
@@ -61,20 +86,26 @@ def show_floor(ax: Axes, values: npt.NDArray[Any], floor: Floor, title: str = ""
     return picture
 
 
-def show_views_on_floor(ax: Axes, views: Mapping[str, Mask], floor: Floor, title: str = "") -> None:
-    """Each view's foreground in its camera's colour; dark where all of them agree."""
-    colours = camera_colours(list(views))
+def show_views_on_floor(
+    ax: Axes, views: Mapping[str, Mask], floor: Floor, title: str = "", *, cameras: Sequence[str] = ()
+) -> None:
+    """Each view's foreground in its camera's colour; dark where all of them agree.
+
+    ``cameras``: all those of the rig, where some have no view now: each keeps its colour.
+    """
+    colours = camera_colours(list(cameras or views))
     canvas = np.ones((*floor.shape, 3))
     for name, mask in views.items():
         canvas[mask] *= 0.35 + 0.65 * np.array(to_rgb(colours[name]))
     if len(views) > 1:
         canvas[np.all(list(views.values()), axis=0)] = 0.1
     show_floor(ax, canvas, floor, title)
-    for name, colour in colours.items():
-        ax.plot([], [], "s", color=colour, label=f"{name} only")
+    for name in views:
+        ax.plot([], [], "s", color=colours[name], label=f"{name} only")
     if len(views) > 1:
         ax.plot([], [], "s", color="0.1", label="both" if len(views) == 2 else "all")
-    ax.legend(loc="upper right", fontsize=7, framealpha=0.9)
+    if views:
+        ax.legend(loc="upper right", fontsize=7, framealpha=0.9)
 
 
 def show_map(
@@ -84,10 +115,18 @@ def show_map(
     *,
     truth: Sequence[Mapping[str, Any]] = (),
     title: str = "",
+    reason: npt.NDArray[np.uint8] | None = None,
 ) -> None:
-    """The occupancy map (white free, black occupied, grey unknown), its objects and, dashed, the true footprints."""
+    """The occupancy map (white free, black occupied, grey unknown), its objects and, dashed, the true footprints.
+
+    With ``reason``, uint8 (ny, nx) as in ``FrameResult``, what is unknown is tinted by its reason, and a legend names those
+    that occur.
+    """
     shade = np.select([grid.data == 100, grid.data == 0], [0.1, 1.0], 0.75)
-    show_floor(ax, shade, grid.floor, title, cmap="gray", vmax=1)
+    if reason is None:
+        show_floor(ax, shade, grid.floor, title, cmap="gray", vmax=1)
+    else:
+        _show_reasons(ax, shade, reason, grid.floor, title)
     for thing in objects:
         (x, y), (vx, vy) = thing.position_m, thing.velocity_mps
         ax.plot(x, y, "o", color=np.array(thing.colour) / 255, markeredgecolor="white", markersize=7)
@@ -98,6 +137,18 @@ def show_map(
         if np.hypot(vx, vy) > 0.05:
             ax.annotate("", (x + vx, y + vy), (x, y), arrowprops={"arrowstyle": "->", "color": "#0072B2"})
     show_footprints(ax, truth)
+
+
+def _show_reasons(ax: Axes, shade: FloatArray, reason: npt.NDArray[np.uint8], floor: Floor, title: str) -> None:
+    from occlib.mapping import REASONS
+
+    canvas = np.repeat(shade[..., None], 3, axis=2)
+    for kind in [kind for kind in REASONS if (reason == kind).any()]:
+        canvas[reason == kind] = to_rgb(REASON_COLOURS[kind])
+        ax.plot([], [], "s", color=REASON_COLOURS[kind], markeredgecolor="0.5", label=f"unknown: {REASONS[kind]}")
+    show_floor(ax, canvas, floor, title)
+    if reason.any():
+        ax.legend(loc="upper right", fontsize=7, framealpha=0.9)
 
 
 def show_footprints(ax: Axes, truth: Sequence[Mapping[str, Any]]) -> None:
@@ -111,6 +162,30 @@ def show_footprints(ax: Axes, truth: Sequence[Mapping[str, Any]]) -> None:
     if truth:
         ax.plot([], [], "--", color=TRUTH_COLOUR, label="truth")
         ax.legend(loc="upper right", fontsize=7)
+
+
+def cover_heads(image: Image, camera: Camera, people: Sequence[Mapping[str, Any]], *, radius_m: float = 0.2) -> Image:
+    """A copy of a picture with a grey disc and the id over the head of everyone in ``people``: no face is needed.
+
+    ``people`` are entries of the truth, with ``id``, ``x`` and ``y``; the head is taken to be 1.62 m above the feet.
+    """
+    covered = image.copy()
+    for person in people:
+        (x, y), above = camera.project([[person["x"], person["y"], height] for height in (1.62, 1.62 + radius_m)])
+        radius = float(np.hypot(x - above[0], y - above[1]))
+        if np.isfinite(radius):
+            cv2.circle(covered, (round(x), round(y)), round(radius), (150, 150, 150), -1)
+            corner = (round(x - 0.4 * radius), round(y + 0.4 * radius))
+            cv2.putText(
+                covered,
+                str(person["id"]),
+                corner,
+                cv2.FONT_HERSHEY_SIMPLEX,
+                radius / 24,
+                (0, 0, 0),
+                max(1, round(radius / 15)),
+            )
+    return covered
 
 
 def fill_hull(ax: Axes, points: npt.ArrayLike, **options: Any) -> FloatArray:
@@ -132,6 +207,22 @@ def outline_on_image(ax: Axes, camera: Camera, outline_m: npt.ArrayLike, **optio
     pixels = camera.floor_to_pixels(path)
     pixels[~camera.inside(pixels)] = np.nan
     ax.plot(*pixels.T, **{"linewidth": 1.2, **options})
+
+
+def outline_cylinders(ax: Axes, warp: PolarWarp, things: Sequence[Cylinder], **options: Any) -> None:
+    """Outline of each upright cylinder, with its number, in a camera's polar view."""
+    from occlib.explaining import silhouette
+
+    rows, columns = warp.shape
+    runs = np.empty((columns + 1, 2), np.int64)
+    for number, thing in enumerate(things, start=1):
+        first, last = silhouette(warp.parameters, columns, rows, thing.x, thing.y, thing.radius, thing.height, runs)
+        if last > first:
+            x, (top, bottom) = np.arange(first, last), runs[: last - first].T
+            outline = np.column_stack([np.concatenate([x, x[::-1], x[:1]]), [*top, *bottom[::-1], top[0]]])
+            ax.plot(*outline.T, **{"color": "white", "linewidth": 1.5, **options})
+            ax.annotate(str(number), (x.mean(), top.min()), xytext=(0, 4), textcoords="offset points", ha="center",
+                        color=options.get("color", "white"))  # fmt: skip
 
 
 def lamps_and_shadows(
@@ -188,7 +279,7 @@ def _strip(ax: Axes, x: npt.NDArray[Any], on: Mask, row: int, label: str, colour
 
 def views_and_map(
     rig: Rig,
-    images: Mapping[str, Image],
+    images: Mapping[str, Image | None],
     result: FrameResult,
     truth: Sequence[Mapping[str, Any]],
     *,
@@ -212,9 +303,10 @@ def views_and_map(
     colours = camera_colours(names)
     fig, axes = new_figure(columns=len(names) + 1, width=4.0 * (len(names) + 1), height=4.3)
     for ax, name in zip(axes, names, strict=False):
-        show_image(ax, images[name])
+        show_view(ax, rig[name], images.get(name), reason=result.excluded.get(name, ""))
+        shown = () if name in result.excluded else truth
         hidden = [thing for thing in truth if thing["hidden_fraction"].get(name, 0) > 0.9]
-        for thing in truth:
+        for thing in shown:
             gone = thing in hidden
             if gone:
                 outline_on_image(ax, rig[name], thing["footprint"], color="white", linestyle="--", linewidth=2)
@@ -225,7 +317,7 @@ def views_and_map(
                         arrowprops={"arrowstyle": "-", "color": "white" if gone else "0.2", "linewidth": 1.5})  # fmt: skip
         left, right, top, bottom = crops[name]
         ax.set(xlim=(left, right), ylim=(bottom, top))
-        count = f"{len(truth) - len(hidden)} of {len(truth)} objects"
+        count = result.excluded.get(name) or f"{len(truth) - len(hidden)} of {len(truth)} objects"
         ax.set_title(f"{name} view: {count}", color=colours[name], fontsize=17)
         for spine in ax.spines.values():
             spine.set(color=colours[name], linewidth=3)
@@ -235,7 +327,7 @@ def views_and_map(
 
 def frame_strip(
     rig: Rig,
-    images: Mapping[int, Mapping[str, Image]],
+    images: Mapping[int, Mapping[str, Image | None]],
     results: Mapping[int, FrameResult],
     truth: Mapping[str, Sequence[Mapping[str, Any]]],
     *,
@@ -255,12 +347,14 @@ def frame_strip(
     """
     names, colours = list(rig.cameras), camera_colours(list(rig.cameras))
     fig, axes = new_figure(len(images), len(names) + 1, width=2.4 * len(images), height=2.4 * (len(names) + 1))
+    axes = axes.reshape(len(names) + 1, len(images))  # one frame, too
     for column, frame in zip(axes.T, images, strict=True):
         things = truth[str(frame)]
         for ax, name in zip(column, names, strict=False):
-            show_image(ax, images[frame][name])
+            reason = results[frame].excluded.get(name, "")
+            show_view(ax, rig[name], images[frame].get(name), reason=reason)
             for thing in things:
-                if thing["hidden_fraction"].get(name, 0) > 0.9:
+                if thing["hidden_fraction"].get(name, 0) > 0.9 and not reason:
                     outline_on_image(ax, rig[name], thing["footprint"], color="white", linestyle="--", linewidth=1.6)
             left, right, top, bottom = crops[name]
             ax.set(xlim=(left, right), ylim=(bottom, top))
@@ -288,7 +382,9 @@ def _umbra_map(ax: Axes, rig: Rig, result: FrameResult, truth: Any, window_m: tu
         canvas[view] *= 0.6 + 0.4 * np.array(to_rgb(colours[name]))
     canvas[result.map.data == 100] = 0.15
     show_floor(ax, canvas, rig.floor)
-    ax.set_title(f"map from both: {len(result.objects)} objects", fontsize=17)
+    left_out = len(rig.cameras) - len(result.views)
+    views = (", ".join(result.views) or "no view") if left_out else "both" if len(result.views) == 2 else "all"
+    ax.set_title(f"map from {views}: {len(result.objects)} objects", fontsize=17)
     for thing in truth:
         ax.plot(*np.vstack([thing["footprint"], thing["footprint"][:1]]).T, color="#F0E442", linewidth=2)
         top = max(y for _, y in thing["footprint"])
@@ -429,8 +525,14 @@ def show_matches(ax: Axes, matches: Sequence[Match], *, colour: str = "#D55E00")
         ax.plot(*match.centre_px, "+", color=colour, markersize=8, markeredgewidth=1.6)
 
 
-def overview(rig: Rig, images: Mapping[str, Image], result: FrameResult, *, title: str = "", truth: Any = ()) -> Figure:
-    """The views of an instant, their foreground on the floor, and the map: what ``occlib run`` saves."""
+def overview(
+    rig: Rig, images: Mapping[str, Image | None], result: FrameResult, *, title: str = "", truth: Any = ()
+) -> Figure:
+    """The views of an instant, their foreground on the floor, and the map: what ``occlib run`` saves.
+
+    A camera without a picture has an empty panel, and one that was left out says why. What is unknown on the map is tinted by
+    its reason.
+    """
     names = list(rig.cameras)
     colours = camera_colours(names)
     columns = max(2, len(names))
@@ -440,10 +542,10 @@ def overview(rig: Rig, images: Mapping[str, Image], result: FrameResult, *, titl
     rim = [[floor.x[i], floor.y[j]] for i, j in ((0, 0), (1, 0), (1, 1), (0, 1))]
     for i, name in enumerate(names):
         ax = fig.add_subplot(grid[0, 2 * i : 2 * i + 2] if len(names) > 1 else grid[0, :])
-        show_image(ax, images[name], name, colour=colours[name])
+        show_view(ax, rig[name], images.get(name), name, colour=colours[name], reason=result.excluded.get(name, ""))
         limits = ax.get_xlim(), ax.get_ylim()
         outline_on_image(ax, rig[name], rim, color=colours[name], linestyle=":")
-        for thing in result.objects:
+        for thing in () if name in result.excluded else result.objects:
             pixel = rig[name].floor_to_pixels([thing.position_m])
             if rig[name].inside(pixel)[0]:
                 hidden = name in thing.hidden_in
@@ -452,10 +554,12 @@ def overview(rig: Rig, images: Mapping[str, Image], result: FrameResult, *, titl
                 ax.annotate(f"{thing.id}{' hidden' if hidden else ''}", pixel[0], xytext=(9, -12), color="white",
                             textcoords="offset points", fontsize=9, fontweight="bold")  # fmt: skip
         ax.set(xlim=limits[0], ylim=limits[1])
-    show_views_on_floor(fig.add_subplot(grid[1, :columns]), result.views, floor, "foreground on the floor")
+    show_views_on_floor(
+        fig.add_subplot(grid[1, :columns]), result.views, floor, "foreground on the floor", cameras=names
+    )
     count = f"{len(result.objects)} object{'' if len(result.objects) == 1 else 's'}"
-    count += " (grey: unknown)" if (result.map.data == -1).any() else ""
-    show_map(fig.add_subplot(grid[1, columns:]), result.map, result.objects, truth=truth, title=f"map: {count}")
+    ax = fig.add_subplot(grid[1, columns:])
+    show_map(ax, result.map, result.objects, truth=truth, title=f"map: {count}", reason=result.reason)
     if title:
         fig.suptitle(title, fontsize=11, parse_math=False)
     return fig

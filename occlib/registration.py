@@ -89,7 +89,7 @@ class PolarWarp:
 
     camera: Camera
     floor: Floor
-    step_px: float = 2.0
+    step_px: float = 3.0
 
     @cached_property
     def step(self) -> float:
@@ -153,7 +153,9 @@ class PolarWarp:
         width, height = self.camera.size
         if image.shape[:2] != (height, width):
             raise ValueError(f"image: expected {(height, width)} for {self.camera.name}, got {image.shape[:2]}")
-        return np.asarray(cv2.remap(image, *self._maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=0))
+        return np.asarray(
+            cv2.remap(image, *self._maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=0)
+        )
 
 
 def undistort(image: Image, camera: Camera) -> Image:

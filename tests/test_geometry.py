@@ -416,3 +416,87 @@ def test_each_wrong_pose_is_named(tiny_rig: Rig, rotation: Array, translation: A
     fields |= {"rotation": rotation.tolist(), "translation": translation}
     with pytest.raises(ValueError, match=message):
         Rig.from_dict(content)
+
+
+# --- the pose of a homography that was fitted to marks ---------------------------------------------------
+def algebraic_pose(cam: Camera) -> tuple[Array, Array]:
+    """The textbook's: the first two columns of ``K^-1 H`` scaled and made orthonormal."""
+    columns = np.linalg.inv(cam.matrix) @ np.linalg.inv(cam.image_to_floor)
+    columns /= np.sqrt(np.linalg.norm(columns[:, 0]) * np.linalg.norm(columns[:, 1]))
+    third = np.cross(columns[:, 0], columns[:, 1])
+    if -(third @ columns[:, 2]) < 0:
+        columns = -columns
+    u, _, vt = np.linalg.svd(np.column_stack([columns[:, 0], columns[:, 1], third]))
+    return u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt, columns[:, 2]
+
+
+def floor_disagreement_px(cam: Camera, pose: tuple[Array, Array]) -> Array:
+    """How far apart the homography and a pose see the same floor points in the picture."""
+    x, y = np.meshgrid(np.arange(-0.5, 4, 0.1), np.arange(-1, 3, 0.1))
+    points = np.column_stack([x.ravel(), y.ravel()])
+    pixels = cam.floor_to_pixels(points)
+    points, pixels = points[cam.inside(pixels)], pixels[cam.inside(pixels)]
+    world = np.column_stack([points, np.zeros(len(points))])
+    turn = cv2.Rodrigues(pose[0])[0]
+    seen = cv2.projectPoints(world, turn, pose[1], cam.matrix, cam.distortion)[0].reshape(-1, 2)
+    return np.asarray(np.linalg.norm(seen - pixels, axis=1))
+
+
+def marked_camera(seed: int, noise_px: float) -> tuple[Camera, Camera]:
+    """A camera, and what a homography fitted to 12 marks measured with noise makes of it."""
+    cam = camera(roll=0.05)
+    rng = np.random.default_rng(seed)
+    marks = np.array([[x, y] for x in (0.8, 1.5, 2.2, 3.0) for y in (0.2, 1.0, 1.8)])
+    ideal = cam.undistort_points(cam.floor_to_pixels(marks)) + rng.normal(0, noise_px, marks.shape)
+    homography = cv2.findHomography(ideal, marks)[0]
+    return cam, Camera("cam", SIZE, MATRIX, STRONG, np.asarray(homography, float))
+
+
+@pytest.mark.parametrize("noise_px", [0.3, 1.0, 3.0])
+def test_the_refined_pose_sees_the_floor_more_as_the_homography_does_than_the_algebra(noise_px: float) -> None:
+    refined, algebraic = [], []
+    for seed in range(6):
+        _, fitted = marked_camera(seed, noise_px)
+        rotation, translation = fitted.pose
+        assert np.abs(rotation @ rotation.T - np.eye(3)).max() < 1e-9 and np.linalg.det(rotation) > 0
+        assert fitted.centre_m[2] > 0
+        refined.append(np.sqrt(np.mean(floor_disagreement_px(fitted, (rotation, translation)) ** 2)))
+        algebraic.append(np.sqrt(np.mean(floor_disagreement_px(fitted, algebraic_pose(fitted)) ** 2)))
+    assert np.mean(refined) < 0.9 * np.mean(algebraic)
+    assert (np.array(refined) < 1.05 * np.array(algebraic)).all()
+
+
+@settings(max_examples=20, deadline=None)
+@given(
+    st.tuples(st.floats(-3, -1), st.floats(-2, 2), st.floats(0.5, 4)),
+    st.tuples(st.floats(0, 3), st.floats(-2, 2)),
+    st.floats(-1, 1),
+)
+def test_an_exact_homography_keeps_its_exact_pose(
+    centre: tuple[float, float, float], target: tuple[float, float], roll: float
+) -> None:
+    cam = camera(centre, target, roll)
+    rotation, translation = cam.pose
+    by_algebra = algebraic_pose(cam)
+    np.testing.assert_array_equal(rotation, by_algebra[0])  # not even touched
+    np.testing.assert_array_equal(translation, by_algebra[1])
+
+
+def test_pixels_beyond_the_fold_of_the_distortion_have_no_say_in_the_pose() -> None:
+    strong = np.array([-0.55, 0.0, 0, 0, 0])  # folds back within the picture's corners
+    cam = camera(distortion=strong)
+    outer = sensor()[np.abs(cam.distort_points(cam.undistort_points(sensor())) - sensor()).max(axis=1) > 0.1]
+    assert len(outer)
+    assert np.abs(cam.centre_m - [-1.0, 0.5, 2.5]).max() < 1e-6
+
+
+def test_ufes_lab_poses_see_the_floor_where_the_marks_are(shared_data: Callable[[str], Path]) -> None:
+    rig = Rig.load(shared_data("ufes-lab") / "rig.yaml")
+    for name, cam in rig.cameras.items():
+        cells = rig.floor.cell_centres_m()
+        pixels = cam.floor_to_pixels(cells)
+        cells, pixels = cells[cam.inside(pixels)], pixels[cam.inside(pixels)]
+        error = np.linalg.norm(cam.project(np.column_stack([cells, np.zeros(len(cells))])) - pixels, axis=1)
+        assert len(error) > 40_000
+        assert error.mean() < 1.5 and np.percentile(error, 99) < 3 and error.max() < 4, name
+        assert 2.5 < cam.centre_m[2] < 3.2, name

@@ -6,17 +6,19 @@ import ast
 import json
 import re
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
 import pytest
 
-from occlib.experiments import reproduce
-from occlib.notebooks import notebook_parameters, select_notebooks
+from occlib.experiments import _plan, keep_table, reproduce
+from occlib.notebooks import notebook_parameters, open_or_stop, select_notebooks
 
 ROOT = Path(__file__).resolve().parent.parent
 NOTEBOOKS = select_notebooks(root=ROOT)
+REAL = "11_enter_a_real_laboratory"
 PAPER_FIGURES = {f"fig{number:02d}" for number in range(1, 12)}
 
 
@@ -92,6 +94,88 @@ def fast_metrics(tmp_path_factory: pytest.TempPathFactory) -> pd.DataFrame:
 def test_every_notebook_runs_and_records(fast_metrics: pd.DataFrame) -> None:
     assert set(fast_metrics["notebook"]) == {path.stem for path in NOTEBOOKS}
     assert fast_metrics["value"].notna().all()
+
+
+# --- the notebook of a recording that does not ship
+
+
+def real_run(home: Path, cache: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[dict[str, float], Path, list[str]]:
+    """Run notebook 11 fast in a project of its own: its metrics, its folder, and the text that each cell printed."""
+    (home / "notebooks").mkdir(parents=True)
+    shutil.copy(*(folder / "notebooks" / f"{REAL}.ipynb" for folder in (ROOT, home)))
+    monkeypatch.setenv("OCCLIB_CACHE", str(cache))
+    report = reproduce(root=home, fast=True, progress=False)
+    folder = report.runs[0].folder
+    printed = [
+        "".join("".join(output.get("text", "")) for output in cell["outputs"])
+        for cell in cells(folder / f"{REAL}.ipynb", "code")
+    ]
+    return dict(zip(report.metrics()["metric"], report.metrics()["value"], strict=True)), folder, printed
+
+
+def test_without_the_recording_the_notebook_says_so_and_ends(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    recorded, folder, printed = real_run(tmp_path / "project", tmp_path / "cache", monkeypatch)
+    (last,) = (number for number, text in enumerate(printed) if "occlib data fetch ufes-lab" in text)
+    executed = cells(folder / f"{REAL}.ipynb", "code")
+    assert len(executed) > last + 15 and not any(cell["outputs"] for cell in executed[last + 1 :])
+    assert recorded["mark_error_left_out"] < 1.5 < 5 < recorded["mark_error_knocked"]
+    assert {path.name for path in folder.iterdir()} == {f"{REAL}.ipynb", "manifest.json", "nb11_plan.png"}
+
+
+def test_with_the_recording_it_scores_and_publishes_nothing_of_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, shared_data: Callable[[str], Path]
+) -> None:
+    """About a minute. What is recorded is the same as without the recording, so that metrics.csv fits every machine."""
+    absent, _, _ = real_run(tmp_path / "absent", tmp_path / "none", monkeypatch)
+    (tmp_path / "cache").mkdir()
+    (tmp_path / "cache/ufes-lab").symlink_to(shared_data("ufes-lab"))
+    present, folder, _ = real_run(tmp_path / "project", tmp_path / "cache", monkeypatch)
+    assert present == absent
+    assert [path.name for path in folder.glob("*.png")] == ["nb11_plan.png"]
+    table = pd.read_csv(folder / "ufes_lab_scores.csv", index_col=["region", "way"])
+    assert table.loc[("cam2+cam3 wide", "explain"), "MODA"] > table.loc[("cam2+cam3 wide", "paper"), "MODA"]
+
+
+def test_a_run_is_not_current_once_the_recording_is_fetched(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    cache = tmp_path / "cache"
+    monkeypatch.setenv("OCCLIB_CACHE", str(cache))
+    (before,) = (run.inputs for run in _plan(ROOT, [REAL], {}))
+    (cache / "ufes-lab").mkdir(parents=True)
+    (after,) = (run.inputs for run in _plan(ROOT, [REAL], {}))
+    assert before["fetched"] == [] and after["fetched"] == ["ufes-lab"]
+
+
+def test_the_cells_come_back_when_the_recording_does(
+    tmp_path: Path, tiny_recording: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from IPython.core.interactiveshell import InteractiveShell
+
+    monkeypatch.setenv("OCCLIB_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setenv("IPYTHONDIR", str(tmp_path))
+    assert open_or_stop("ufes-lab") is None  # no IPython: nothing to hold back
+    with pytest.raises(ValueError, match="no such recording"):
+        open_or_stop("elsewhere")
+    shell = InteractiveShell()
+    monkeypatch.setattr("IPython.get_ipython", lambda: shell)
+    assert open_or_stop("ufes-lab") is None
+    assert capsys.readouterr().out.count("first: occlib data fetch ufes-lab") == 2
+    shell.run_cell("held_back = 1")
+    assert "held_back" not in shell.user_ns
+    (tmp_path / "cache").mkdir()
+    (tmp_path / "cache/ufes-lab").symlink_to(tiny_recording)
+    shell.run_cell("let_through = 1")
+    assert "let_through" in shell.user_ns
+    shell.history_manager.end_session()
+    found = open_or_stop("ufes-lab")
+    assert found is not None and list(found.rig.cameras) == ["left", "right"]
+
+
+def test_a_table_is_kept_beside_the_notebook(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("OCCLIB_RUN_DIR", str(tmp_path))
+    keep_table(pd.DataFrame({"MODA": [0.5]}, index=["wide"]), "scores")
+    assert (tmp_path / "scores.csv").read_text() == ",MODA\nwide,0.5\n"
+    with pytest.raises(ValueError, match="letters, digits"):
+        keep_table(pd.DataFrame(), "../scores")
 
 
 @pytest.fixture(scope="module")

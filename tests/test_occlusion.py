@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from itertools import product
 from typing import Any
 
@@ -11,7 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from occlib.occlusion import fuse, hidden_fractions, truth_table
+from occlib.geometry import Floor
+from occlib.occlusion import fuse, hidden_fractions, standing_places, truth_table
 
 Array = np.ndarray[Any, Any]
 LEFT = np.array([[True, True, False, False]])
@@ -108,7 +110,7 @@ def test_changing_the_result_never_changes_the_evidence() -> None:
 
 
 def test_wrong_arguments_are_named() -> None:
-    with pytest.raises(ValueError, match="rule: expected one of and, or, got 'xor'"):
+    with pytest.raises(ValueError, match="rule: expected one of and, or, most, product, log-odds, planes, got 'xor'"):
         fuse([LEFT], "xor")
     with pytest.raises(ValueError, match="evidence: expected at least one view, got none"):
         fuse([])
@@ -121,6 +123,175 @@ def test_wrong_arguments_are_named() -> None:
     for visible in ([LEFT], [LEFT, RIGHT[:, :2]]):
         with pytest.raises(ValueError, match=r"visible: expected 2 masks of shape \(1, 4\)"):
             fuse([LEFT, RIGHT], visible=visible)
+
+
+# --- the soft rules, cell by cell ------------------------------------------------------------------------------
+FULL: dict[str, st.SearchStrategy[Array]] = {
+    "bool": arrays(bool, (3, 4)),
+    "uint8": arrays(np.uint8, (3, 4)),
+    "float": arrays(float, (3, 4), elements=st.floats(0, 1)),
+}
+
+
+def probability(value: Any) -> float:
+    return float(value) / 255 if isinstance(value, np.uint8) else float(value)
+
+
+def joint_naive(views: list[Array], rule: str, visible: list[Array]) -> Array:
+    """Cell by cell, in plain words, as a float; no view is surer than a thousandth."""
+    fused = np.zeros(views[0].shape)
+    for cell in np.ndindex(views[0].shape):
+        evidence = [probability(view[cell]) for view, seen in zip(views, visible, strict=True) if seen[cell]]
+        if not evidence:
+            continue
+        p = [min(max(e, 1e-3), 1 - 1e-3) for e in evidence]
+        if rule == "most":  # one view may say no: the second smallest, where there are two or more
+            fused[cell] = sorted(evidence)[min(1, len(evidence) - 1)]
+        elif rule == "product":
+            fused[cell] = math.prod(p) ** (1 / len(p))
+        else:
+            odds = math.prod(q / (1 - q) for q in p)
+            fused[cell] = odds / (1 + odds)
+    return fused
+
+
+def assert_is(fused: Array, expected: Array) -> None:
+    """The evidence is this probability: as a float, rounded to 255ths, or, but for a tie, whether it is likelier than not."""
+    if fused.dtype == np.bool_:
+        clear = np.abs(expected - 0.5) > 1e-9
+        np.testing.assert_array_equal(fused[clear], expected[clear] > 0.5)
+    else:
+        scale, spare = (255, 0.5 + 1e-6) if fused.dtype == np.uint8 else (1, 1e-9)
+        assert np.abs(fused - scale * expected).max() <= spare
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 4, 5])
+@pytest.mark.parametrize("rule", ["most", "product", "log-odds"])
+@settings(max_examples=20, deadline=None)
+@given(data=st.data())
+def test_the_joint_rules_are_what_they_say_cell_by_cell(rule: str, count: int, data: st.DataObject) -> None:
+    kind = FULL[data.draw(st.sampled_from(sorted(FULL)))]
+    views = [data.draw(kind) for _ in range(count)]
+    everywhere = [np.ones((3, 4), bool)] * count
+    some = [data.draw(arrays(bool, (3, 4))) for _ in range(count)]
+    kept = [view.copy() for view in views]
+    for visible in (everywhere, some):
+        fused = fuse(views, rule, visible=visible)
+        assert fused.dtype == views[0].dtype and fused.shape == (3, 4)
+        assert_is(fused, joint_naive(views, rule, visible))
+        assert not fused[~np.any(visible, axis=0)].any()  # what no view sees is 0
+    np.testing.assert_array_equal(fuse(views, rule), fuse(views, rule, visible=everywhere))
+    np.testing.assert_allclose(
+        fuse(views[::-1], rule).astype(float), fuse(views, rule), atol=1e-9 if kind is FULL["float"] else 1
+    )
+    for view, before in zip(views, kept, strict=True):
+        np.testing.assert_array_equal(view, before)
+
+
+@pytest.mark.parametrize("rule", ["and", "or", "most", "product", "log-odds"])
+@given(data=st.data())
+def test_one_view_alone_is_passed_on(rule: str, data: st.DataObject) -> None:
+    view = data.draw(FULL[data.draw(st.sampled_from(sorted(FULL)))])
+    fused = fuse([view], rule)
+    if rule in ("product", "log-odds"):  # but for certainty, which no view has
+        view = np.clip(view, 0.001, 0.999) if view.dtype.kind == "f" else view
+    np.testing.assert_allclose(fused.astype(float), view, atol=1e-9)
+
+
+def test_the_rules_on_all_rows_of_three_views() -> None:
+    rows = list(product([False, True], repeat=3))
+    views = [np.array([column]) for column in zip(*rows, strict=True)]
+    count = np.array([[sum(row) for row in rows]])
+    for rule, least in {"and": 3, "or": 1, "most": 2, "product": 3, "log-odds": 2}.items():
+        np.testing.assert_array_equal(fuse(views, rule), count >= least)
+        soft = fuse([255 * v.astype(np.uint8) for v in views], rule)
+        np.testing.assert_array_equal(soft > 127, count >= least)
+    pairs = [np.array([[False, False, True, True]]), np.array([[False, True, False, True]])]
+    assert fuse(pairs, "most").tolist() == [[False, True, True, True]]  # of two views one may miss it
+    assert fuse(pairs, "product").tolist() == [[False, False, False, True]]
+
+
+def test_a_sure_view_outvotes_two_that_waver_by_log_odds_alone() -> None:
+    views = [np.array([[0.95]]), np.array([[0.4]]), np.array([[0.4]])]
+    assert fuse(views, "log-odds") > 0.5 > fuse(views, "most")
+    assert fuse(views, "log-odds")[0, 0] == pytest.approx(1 / (1 + np.exp(-(np.log(19) + 2 * np.log(2 / 3)))))
+
+
+@settings(max_examples=60, deadline=None)
+@given(data=st.data(), planes=st.integers(1, 5), count=st.integers(1, 4))
+def test_planes_count_where_every_view_agrees(data: st.DataObject, planes: int, count: int) -> None:
+    kinds = {"bool": (bool, None), "uint8": (np.uint8, None), "float": (float, st.floats(0, 1))}
+    dtype, elements = kinds[data.draw(st.sampled_from(sorted(kinds)))]
+    shape = (planes, 2, 3)
+    views = [data.draw(arrays(dtype, shape, elements=elements)) for _ in range(count)]
+    everywhere, some = [np.ones(shape, bool)] * count, [data.draw(arrays(bool, shape)) for _ in range(count)]
+    kept = [view.copy() for view in views]
+    for visible in (everywhere, some):
+        fused = fuse(views, "planes", visible=visible)
+        assert fused.shape == (2, 3) and fused.dtype == views[0].dtype
+        expected = np.zeros((2, 3))
+        for p, iy, ix in np.ndindex(shape):
+            said = [probability(v[p, iy, ix]) for v, seen in zip(views, visible, strict=True) if seen[p, iy, ix]]
+            expected[iy, ix] += min(said, default=0.0) / planes
+        if fused.dtype == np.bool_:
+            np.testing.assert_array_equal(fused, expected > 0.5 - 1e-9)  # half of the planes are enough
+        else:
+            assert_is(fused, expected)
+    np.testing.assert_array_equal(fuse(views, "planes"), fuse(views, "planes", visible=everywhere))
+    for view, before in zip(views, kept, strict=True):
+        np.testing.assert_array_equal(view, before)
+
+
+def test_a_body_counts_where_the_feet_are_not_seen() -> None:
+    left = np.array([[[False]], [[True]], [[True]], [[True]]])  # a low thing hides the feet, plane 0
+    right = np.ones_like(left)
+    assert fuse([left, right], "planes").tolist() == [[True]]
+    assert fuse([left[:2], right[:2]], "planes").tolist() == [[True]]  # half of the planes is enough,
+    assert fuse([left[[0, 0, 1]], right[:3]], "planes").tolist() == [[False]]  # a third is not
+    assert fuse([left[0], right[0]], "and").tolist() == [[False]]
+
+
+def test_wrong_arguments_of_the_soft_rules_are_named() -> None:
+    for rule in ("product", "log-odds"):
+        for bad in (-0.1, 1.5):
+            with pytest.raises(ValueError, match=r"evidence: expected probabilities in \[0, 1\], got"):
+                fuse([np.array([[0.5, bad]])], rule)
+    with pytest.raises(ValueError, match="evidence: expected one shape and dtype"):
+        fuse([LEFT, RIGHT], "planes")
+    for rule in ("and", "most", "product"):
+        with pytest.raises(ValueError, match="evidence: expected one shape and dtype"):
+            fuse([np.ones((2, 3, 4), bool)], rule)
+    with pytest.raises(ValueError, match=r"visible: expected 2 masks of shape \(2, 1, 4\)"):
+        fuse([np.ones((2, 1, 4), bool)] * 2, "planes", visible=[np.ones((1, 4), bool)] * 2)
+    with pytest.raises(ValueError, match="evidence: expected finite numbers"):
+        fuse([np.array([[np.nan]])], "log-odds")
+
+
+def test_evidence_at_the_level_is_not_above_it() -> None:
+    floor, seen = Floor((0.0, 0.2), (0.0, 0.1), 0.1), [np.ones((1, 1, 2), bool)] * 2
+    evidence = [np.array([[[127, 128]]], np.uint8)] * 2
+    np.testing.assert_allclose(standing_places(evidence, seen, floor), [[0.15, 0.05]])
+
+
+@settings(max_examples=50, deadline=None)
+@given(data=st.data(), views=st.integers(1, 3), level=st.sampled_from([0, 100, 127, 255]))
+def test_standing_places_are_cells_where_no_view_that_sees_them_objects(
+    data: st.DataObject, views: int, level: int
+) -> None:
+    floor, shape = Floor((-1.0, 0.0), (2.0, 2.6), 0.2), (2, 3, 5)
+    count = data.draw(st.integers(1, 3))
+    evidence = [data.draw(arrays(np.uint8, shape)) for _ in range(count)]
+    visible = [data.draw(arrays(bool, shape)) for _ in range(count)]
+    expected = []
+    for iy, ix in np.ndindex(floor.shape):
+        for plane in range(2):
+            said = [e[plane, iy, ix] for e, seen in zip(evidence, visible, strict=True) if seen[plane, iy, ix]]
+            if len(said) >= views and all(value > level for value in said):
+                expected.append([-1.0 + 0.2 * (ix + 0.5), 2.0 + 0.2 * (iy + 0.5)])
+                break
+    found = standing_places(evidence, visible, floor, level=level, views=views)
+    assert found.shape == (len(expected), 2)
+    np.testing.assert_allclose(found, np.array(expected).reshape(-1, 2))
 
 
 # --- the umbra ------------------------------------------------------------------------------------------------

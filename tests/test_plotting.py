@@ -14,17 +14,22 @@ from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
+from occlib.explaining import Cylinder
 from occlib.geometry import Floor, Rig
-from occlib.mapping import OccupancyMap
+from occlib.mapping import REASONS, OccupancyMap
 from occlib.pipeline import FrameResult, Pipeline
 from occlib.plotting import (
     CAMERA_COLOURS,
+    REASON_COLOURS,
     TRUTH_COLOUR,
     camera_colours,
+    cover_heads,
     figure_png,
     fill_hull,
+    frame_strip,
     lamps_and_shadows,
     new_figure,
+    outline_cylinders,
     outline_on_image,
     overview,
     show_floor,
@@ -34,6 +39,7 @@ from occlib.plotting import (
     show_views_on_floor,
     views_and_map,
 )
+from occlib.registration import PolarWarp
 from occlib.tracking import ObjectVector
 
 Array = np.ndarray[Any, Any]
@@ -151,6 +157,23 @@ def test_the_map_is_white_free_black_occupied_grey_unknown(ax: Axes) -> None:
     assert ax.get_title() == "map" and ax.get_legend() is None and not ax.lines
 
 
+def test_what_is_unknown_is_tinted_by_its_reason(ax: Axes) -> None:
+    data, reason = np.zeros(FLOOR.shape, np.int8), np.zeros(FLOOR.shape, np.uint8)
+    data[0, 0], data[3, 7], data[2, 2] = 100, -1, -1
+    reason[3, 7], reason[2, 2] = 3, 1
+    show_map(ax, OccupancyMap(data, FLOOR), reason=reason)
+    canvas = pixels(ax)
+    assert (canvas[0, 0] == 0.1).all() and (canvas[1, 1] == 1.0).all()
+    assert tuple(canvas[3, 7]) == to_rgb(REASON_COLOURS[3]) and tuple(canvas[2, 2]) == to_rgb(REASON_COLOURS[1])
+    assert legend(ax) == ["unknown: no camera sees it", "unknown: views disagree"]  # only those that occur
+    known = new_figure()[1]
+    show_map(known, OccupancyMap(np.zeros(FLOOR.shape, np.int8), FLOOR), reason=np.zeros(FLOOR.shape, np.uint8))
+    assert known.get_legend() is None
+    assert set(REASON_COLOURS) == set(REASONS)
+    light = [to_rgb(colour) @ np.array([0.3, 0.6, 0.1]) for colour in REASON_COLOURS.values()]
+    assert min(light) > 0.7 and max(light) < 0.95  # between the black of the objects and the white of bare floor
+
+
 def test_objects_stand_where_they_are_in_their_colour_with_their_number_and_velocity(ax: Axes) -> None:
     show_map(ax, grid(), [thing(0.5, 1.5, id=7, v=(0.4, -0.2)), thing(2.0, 1.0, id=8, v=(0.01, 0.0))])
     assert [tuple(line.get_xydata()[0]) for line in ax.lines] == [(0.5, 1.5), (2.0, 1.0)]
@@ -238,11 +261,12 @@ def test_overview_shows_each_view_the_foreground_and_the_map(tiny_rig: Rig, show
     assert left.title.get_color() == "#0072B2" and right.title.get_color() == "#E69F00"
     assert left.get_xlim() == (-0.5, 159.5) and left.get_ylim() == (119.5, -0.5)
     assert (foreground.get_xlabel(), grid.get_ylabel()) == ("x (m)", "y (m)")
-    np.testing.assert_array_equal(pixels(grid) == 0.1, result.map.data == 100)
+    np.testing.assert_array_equal((pixels(grid) == 0.1).all(axis=2), result.map.data == 100)
     hidden = [str(o.id) + " hidden" for o in result.objects if "left" in o.hidden_in]
     assert len(hidden) == 1 and set(hidden) < set(texts(left))
     assert not any("hidden" in text for text in texts(right))
-    assert legend(grid) == ["truth"]
+    unknown = [f"unknown: {REASONS[kind]}" for kind in REASONS if (result.reason == kind).any()]
+    assert legend(grid) == [*unknown, "truth"]
 
 
 def test_overview_counts_one_object_in_the_singular_and_takes_one_camera(tiny_rig: Rig, draw: Draw) -> None:
@@ -251,6 +275,45 @@ def test_overview_counts_one_object_in_the_singular_and_takes_one_camera(tiny_ri
     fig = overview(rig, images, Pipeline(rig, draw([])).process(images, 0.0))
     assert [ax.get_title() for ax in fig.axes] == ["left", "foreground on the floor", "map: 1 object"]
     assert fig.get_suptitle() == ""
+
+
+@pytest.mark.parametrize(
+    ("picture", "text"), [("none", "no picture"), ("absent", "no picture"), ("dark", "black, not used")]
+)
+def test_figures_of_an_instant_without_a_camera(
+    tiny_rig: Rig, draw: Draw, shown: Shown, picture: str, text: str
+) -> None:
+    images: dict[str, Any] = {**shown[0], "left": np.zeros_like(shown[0]["left"]) if picture == "dark" else None}
+    result = Pipeline(tiny_rig, draw([])).process(images, 0.0)
+    if picture == "absent":
+        del images["left"]
+    truth, crop = shown[2], (10, 150, 20, 110)
+    fig = overview(tiny_rig, images, result, truth=truth)
+    left, right, foreground, grid = fig.axes
+    assert left.get_title() == "left" and texts(left) == [text]  # no objects where they cannot be seen
+    assert pixels(left).shape == (120, 160, 3) and len(np.unique(pixels(left))) == 1
+    assert left.get_xlim() == (-0.5, 159.5) and left.get_ylim() == (119.5, -0.5)
+    assert len(texts(right)) == len(result.objects) > 0
+    assert legend(foreground) == ["right only"]
+    seen = pixels(foreground)[result.views["right"]]
+    np.testing.assert_allclose(seen, np.broadcast_to(0.35 + 0.65 * np.array(to_rgb("#E69F00")), seen.shape))
+    assert legend(grid) == ["unknown: one view only", "truth"]
+    options = {"crops": {"left": crop, "right": crop}, "window_m": (0.5, 3.5, 0.5, 2.5)}
+    fig = views_and_map(tiny_rig, images, result, truth, **options)
+    assert fig.axes[0].get_title() == f"left view: {result.excluded['left']}" and texts(fig.axes[0]) == [text]
+    assert fig.axes[2].get_title().startswith("map from right: ")
+    strip = frame_strip(tiny_rig, {3: images}, {3: result}, {"3": truth}, **options)
+    assert texts(strip.axes[0]) == [text] and texts(strip.axes[1]) == []
+    figure_png(fig, dpi=40)
+
+
+def test_figures_of_an_instant_without_any_camera(tiny_rig: Rig, draw: Draw) -> None:
+    images: dict[str, Any] = {"left": None, "right": None}
+    result = Pipeline(tiny_rig, draw([])).process(images, 0.0)
+    fig = overview(tiny_rig, images, result)
+    assert fig.axes[2].get_legend() is None
+    assert legend(fig.axes[3]) == ["unknown: no camera sees it"]
+    figure_png(fig, dpi=40)
 
 
 def test_views_and_map_names_what_is_hidden(tiny_rig: Rig, shown: Shown) -> None:
@@ -288,3 +351,26 @@ def test_drawing_changes_no_input(tiny_rig: Rig, shown: Shown) -> None:
         np.testing.assert_array_equal(images[name], image)
     np.testing.assert_array_equal(result.map.data, data)
     np.testing.assert_array_equal(result.views["left"], view)
+
+
+def test_a_head_is_covered_and_nothing_else(tiny_rig: Rig) -> None:
+    image = np.full((120, 160, 3), 30, np.uint8)
+    camera = tiny_rig["left"]
+    covered = cover_heads(image, camera, [{"id": "A", "x": 2.0, "y": 1.5}])
+    ((x, y),) = np.rint(camera.project([[2.0, 1.5, 1.72]])).astype(int)
+    assert (image == 30).all() and (covered[y, x] > 100).all()
+    rows, columns = np.nonzero((covered != 30).any(axis=2))
+    assert len(rows) < 0.02 * 160 * 120 and abs(columns.mean() - x) < 2
+    assert (cover_heads(image, camera, [{"id": "A", "x": -9.0, "y": 1.5}]) == image).all()  # behind the camera
+
+
+def test_a_cylinder_is_outlined_where_the_polar_view_shows_it(ax: Axes, tiny_rig: Rig) -> None:
+    warp = PolarWarp(tiny_rig["left"], tiny_rig.floor)
+    outline_cylinders(ax, warp, [Cylinder(2.0, 1.5, 0.2, 0.5), Cylinder(-9.0, 1.5, 0.2, 0.5)], color="red")
+    (line,) = ax.lines  # the second one lies behind the camera
+    assert texts(ax) == ["1"] and line.get_color() == "red"
+    columns, rows = line.get_xdata(), line.get_ydata()
+    assert columns[0] == columns[-1] and rows[0] == rows[-1]
+    inside = warp.pixels[int(np.mean(rows)), int(np.mean(columns))]
+    (axis,) = tiny_rig["left"].project([[2.0, 1.5, 0.25]])
+    assert np.hypot(*(inside - axis)) < 4

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given
@@ -13,6 +14,7 @@ from scipy.ndimage import map_coordinates
 from occlib.geometry import Camera, Floor, Rig, apply_homography
 from occlib.registration import (
     FloorWarp,
+    PolarWarp,
     registration_error_m,
     rotation_about_centre,
     rotation_onto,
@@ -248,3 +250,129 @@ def test_wrong_sizes_are_named(tiny_rig: Rig) -> None:
         FloorWarp(tiny_rig["right"], tiny_rig.floor).warp(np.zeros((121, 160), bool))
     with pytest.raises(ValueError, match="homography: expected shape"):
         warp_top_view(np.zeros(SIZE[::-1], np.uint8), np.eye(2), FLOOR)
+
+
+# --- planes above the floor ------------------------------------------------------------------------------
+@pytest.mark.parametrize("height", [0.1, 0.6, 1.1])
+@pytest.mark.parametrize("camera", [LEFT, PARTIAL], ids=lambda c: c.name)
+def test_a_plane_shows_in_each_cell_what_is_at_its_height_above_it(camera: Camera, height: float) -> None:
+    warp = FloorWarp(camera, FLOOR, height)
+    rotation, translation = camera.pose
+    above = np.concatenate([centres(FLOOR), np.full((*FLOOR.shape, 1), height)], axis=2).reshape(-1, 3)
+    expected = cv2.projectPoints(above, cv2.Rodrigues(rotation)[0], translation, camera.matrix, camera.distortion)[0]
+    expected = expected.reshape(*FLOOR.shape, 2)
+    assert warp.visible.any()
+    np.testing.assert_allclose(warp.pixels[warp.visible], expected[warp.visible], atol=1e-6)
+    x, y = np.round(warp.pixels[warp.visible][500]).astype(int)
+    picture = np.zeros(SIZE[::-1], bool)
+    picture[y, x] = True
+    assert warp.warp(picture)[warp.visible][500]
+
+
+def test_the_plane_at_height_0_is_the_floor() -> None:
+    picture = np.random.default_rng(5).integers(0, 256, SIZE[::-1]).astype(np.uint8)
+    np.testing.assert_array_equal(FloorWarp(LEFT, FLOOR, 0.0).pixels, FloorWarp(LEFT, FLOOR).pixels)
+    np.testing.assert_array_equal(FloorWarp(LEFT, FLOOR, 0.0).warp(picture), FloorWarp(LEFT, FLOOR).warp(picture))
+    both = FloorWarp(LEFT, FLOOR).visible & FloorWarp(LEFT, FLOOR, 1e-9).visible
+    np.testing.assert_allclose(
+        FloorWarp(LEFT, FLOOR, 1e-9).pixels[both], FloorWarp(LEFT, FLOOR).pixels[both], atol=1e-4
+    )
+
+
+# --- polar views -----------------------------------------------------------------------------------------
+def polar_samples(warp: PolarWarp, points_m: Array) -> Array:
+    """Fractional (column, row) of world points, by the angles that the parameters name."""
+    x, y, z, middle, left, top, step, _ = warp.parameters
+    dx, dy, dz = (np.asarray(points_m, float) - [x, y, z]).T
+    azimuth = (np.arctan2(dy, dx) - middle + np.pi) % (2 * np.pi) - np.pi
+    return np.column_stack([(azimuth - left) / step, (np.arctan2(-dz, np.hypot(dx, dy)) - top) / step])
+
+
+@pytest.mark.parametrize("camera", [LEFT, RIGHT, PARTIAL], ids=lambda c: c.name)
+def test_a_vertical_line_of_the_world_falls_into_one_column(camera: Camera) -> None:
+    warp = PolarWarp(camera, FLOOR, 1.0)
+    u, v = np.meshgrid(np.arange(SIZE[0]), np.arange(SIZE[1]))
+    for foot in ((1.0, 2.0), (1.8, 1.6), (2.2, 1.4)):
+        line = np.column_stack([np.tile(foot, (200, 1)), np.linspace(0, 0.6, 200)])
+        pixels = camera.project(line)
+        pixels = pixels[camera.inside(pixels)]
+        assert len(pixels) > 20
+        picture = np.zeros(SIZE[::-1], np.float32)
+        for x, y in pixels:  # a thin smooth stroke
+            picture = np.maximum(picture, np.exp(-((u - x) ** 2 + (v - y) ** 2) / 2).astype(np.float32))
+        polar = warp.warp(picture)
+        columns = np.arange(warp.shape[1])
+        bright = polar.max(axis=1) > 0.5
+        centre = (polar * columns).sum(axis=1)[bright] / polar.sum(axis=1)[bright]
+        assert bright.sum() > 5
+        assert np.ptp(centre[2:-2]) < 1.0
+        assert np.median(centre) == pytest.approx(polar_samples(warp, line)[0, 0], abs=0.5)
+
+
+@pytest.mark.parametrize("camera", [LEFT, RIGHT, PARTIAL], ids=lambda c: c.name)
+def test_rows_are_depressions_and_columns_azimuths_of_known_points(camera: Camera) -> None:
+    warp = PolarWarp(camera, FLOOR)
+    assert warp.step == pytest.approx(2.0 / np.sqrt(205 * 203))
+    np.testing.assert_allclose(warp.parameters[:3], camera.centre_m)
+    towards = np.array([np.mean(FLOOR.x), np.mean(FLOOR.y)]) - camera.centre_m[:2]
+    assert warp.parameters[3] == pytest.approx(np.arctan2(towards[1], towards[0]))
+    assert warp.parameters[7] == pytest.approx((warp.step / 0.0045) ** 2)
+    rng = np.random.default_rng(6)
+    points = np.column_stack([rng.uniform(-0.8, 2.8, 300), rng.uniform(0.7, 3.3, 300), rng.uniform(0, 0.8, 300)])
+    pixels = camera.project(points)
+    pixels, points = pixels[camera.inside(pixels)], points[camera.inside(pixels)]
+    samples = polar_samples(warp, points)
+    inner = ((samples >= 0) & (samples <= np.array(warp.shape[::-1]) - 1)).all(axis=1)
+    assert inner.all() and len(samples) > 80
+    for axis in (0, 1):  # interpolated between samples, the look-up leads to the pixel
+        found = map_coordinates(warp.pixels[..., axis], samples.T[::-1], order=1)
+        known = np.isfinite(found)
+        assert known.mean() > 0.9
+        assert np.abs(found - pixels[:, axis])[known].max() < 0.3
+
+
+@pytest.mark.parametrize("camera", [LEFT, RIGHT, PARTIAL], ids=lambda c: c.name)
+def test_the_polar_look_up_agrees_with_projection_and_misses_nothing(camera: Camera) -> None:
+    warp = PolarWarp(camera, FLOOR)
+    x, y, z, middle, left, top, step, _ = warp.parameters
+    rows, columns = np.nonzero(warp.visible)
+    azimuth, depression = middle + left + step * columns, top + step * rows
+    far = 3.7  # m along the ray: any distance will do
+    flat = far * np.cos(depression)
+    world = np.column_stack([x + flat * np.cos(azimuth), y + flat * np.sin(azimuth), z - far * np.sin(depression)])
+    np.testing.assert_allclose(warp.pixels[warp.visible], camera.project(world), atol=1e-6)
+    assert camera.inside(warp.pixels[warp.visible]).all()
+    np.testing.assert_array_equal(np.isfinite(warp.pixels).all(axis=2), warp.visible)
+    assert warp.pixels.shape == (*warp.shape, 2)
+    cells = FLOOR.cell_centres_m()[FloorWarp(camera, FLOOR).visible.ravel()]
+    samples = polar_samples(warp, np.column_stack([cells, np.zeros(len(cells))]))
+    assert samples.min() > -1 and (samples < np.array(warp.shape[::-1])).all()  # all of the floor in view is in it
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.float32])
+def test_a_polar_view_is_bilinear_interpolation_and_0_where_nothing_is_seen(dtype: Any) -> None:
+    picture = np.random.default_rng(7).integers(1, 256, (*SIZE[::-1], 3)).astype(dtype)
+    kept = picture.copy()
+    warp = PolarWarp(RIGHT, FLOOR)
+    polar = warp.warp(picture)
+    assert polar.dtype == dtype and polar.shape == (*warp.shape, 3)
+    assert not polar[~warp.visible].any()
+    x, y = warp.pixels[warp.visible].T
+    expected = map_coordinates(picture[..., 1].astype(float), [y, x], order=1, mode="grid-constant")
+    assert np.abs(polar[warp.visible][:, 1] - expected).max() < 12  # positions are rounded to 1/32 px
+    np.testing.assert_array_equal(warp.warp(np.ascontiguousarray(picture[..., 2])), polar[..., 2])
+    np.testing.assert_array_equal(picture, kept)
+
+
+def test_a_coarser_polar_view_has_fewer_samples_of_the_same_angles() -> None:
+    fine, coarse = PolarWarp(LEFT, FLOOR, 1.0), PolarWarp(LEFT, FLOOR, 3.0)
+    assert coarse.step == pytest.approx(3 * fine.step)
+    assert np.array(fine.shape) == pytest.approx(3 * np.array(coarse.shape), abs=3)
+    np.testing.assert_array_equal(fine.parameters[:6], coarse.parameters[:6])
+    area = [warp.visible.sum() * warp.parameters[7] for warp in (fine, coarse)]
+    assert area[0] == pytest.approx(area[1], rel=0.02)  # the weight of a sample is its solid angle
+
+
+def test_wrong_sizes_for_a_polar_view_are_named() -> None:
+    with pytest.raises(ValueError, match=r"image: expected \(240, 320\) for left, got \(320, 240\)"):
+        PolarWarp(LEFT, FLOOR).warp(np.zeros(SIZE, np.uint8))
