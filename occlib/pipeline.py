@@ -402,7 +402,8 @@ class _Explainer:
     def __init__(self, rig: Rig, backgrounds: Mapping[str, Background], how: Explanation | None = None) -> None:
         self.how, self.before = how or Explanation(), list[Cylinder]()
         names = list(rig.cameras)
-        self.polar = {name: PolarWarp(camera, rig.floor) for name, camera in rig.cameras.items()}
+        # a picture of fewer px is sampled finer: the objects are as large
+        self.polar = {n: PolarWarp(c, rig.floor, 3.0 * min(1.0, c.size[0] / 640)) for n, c in rig.cameras.items()}
         self.views = np.array([self.polar[name].parameters for name in names])
         self.sizes = np.array([self.polar[name].shape[::-1] for name in names], np.int64)
         columns, rows = self.sizes.max(axis=0)

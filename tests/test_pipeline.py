@@ -342,7 +342,7 @@ def test_bad_backgrounds_are_named(tiny_rig: Rig, draw: Draw) -> None:
 
 def test_bad_settings_are_named(tiny_rig: Rig, draw: Draw) -> None:
     empty = draw([])
-    with pytest.raises(ValueError, match="profile: expected one of recommended, paper, got 'papre'"):
+    with pytest.raises(ValueError, match="profile: expected one of recommended, and, paper, got 'papre'"):
         settings_for("papre")
     with pytest.raises(ValueError, match="position: expected centroid or middle, got 'mean'"):
         Pipeline(tiny_rig, empty, Settings(position="mean"))
@@ -510,7 +510,7 @@ def test_ufes_lab_two_people_in_a_real_room(shared_data: Callable[[str], Path]) 
     recording = open_recording(shared_data("ufes-lab"), ["cam2", "cam3"])
     truth = metrics.load_truth(recording.path / "truth.json")
     backgrounds, frames = backgrounds_of(recording), range(20, 149)
-    pipeline, paper = (Pipeline(recording.rig, backgrounds, settings) for settings in PROFILES.values())
+    pipeline, paper = (Pipeline(recording.rig, backgrounds, settings_for(name)) for name in ("recommended", "paper"))
     detections, papers = {}, {}
     for frame, images in recording.images(frames):
         detections[frame] = [thing.to_dict() for thing in pipeline.process(images, recording.time(frame)).objects]
@@ -519,12 +519,13 @@ def test_ufes_lab_two_people_in_a_real_room(shared_data: Callable[[str], Path]) 
     scored = metrics.evaluate(detections, truth, roi="cam2+cam3", radius=0.5)
     wide = metrics.evaluate(detections, truth, roi="cam2+cam3 wide", radius=0.5)
     theirs = metrics.evaluate(papers, truth, roi="cam2+cam3", radius=0.5)
-    assert scored.moda is not None and scored.moda >= 0.95
-    assert scored.error_median_m is not None and scored.error_median_m <= 0.08
+    assert scored.moda is not None and scored.moda >= 0.97
+    assert wide.moda is not None and wide.moda >= 0.90
+    assert scored.error_median_m is not None and scored.error_median_m <= 0.06
     readme = " ".join((Path(__file__).parents[1] / "README.md").read_text(encoding="utf-8").split())
-    assert f"MODA {scored.moda:.2f} and a median position error of {scored.error_median_m:.2f} m" in readme
-    assert f"`cam2+cam3 wide` MODA is {wide.moda:.2f}" in readme
-    assert f"the paper's settings give MODA {theirs.moda:.2f}" in readme
+    assert f"| cam2+cam3 | cam2+cam3 | {theirs.moda:.2f} |" in readme
+    assert f"| {scored.moda:.2f} | {100 * scored.error_median_m:.1f} cm |" in readme
+    assert f"| {wide.moda:.2f} | {100 * (wide.error_median_m or 0):.1f} cm |" in readme
 
 
 @pytest.mark.parametrize("settings", [AND, settings_for()])
@@ -605,7 +606,7 @@ def test_a_frozen_picture_does_not_hold_an_object_where_it_was(tiny_rig: Rig, dr
         result = pipeline.process({"left": draw([moved])["left"], "right": old}, i / 10)
         excluded.append(result.excluded)
     assert excluded == [{}] * 3 + [{"right": "frozen"}] * 4  # repeated three times
-    agree(result, [moved], 0.15)
+    assert all(np.hypot(t.position_m[0] - 1.0, t.position_m[1] - 0.8) > 0.3 for t in result.objects)
     assert pipeline.process(draw([moved]), 1.0).excluded == {}
 
 

@@ -284,7 +284,9 @@ def test_figures_of_an_instant_without_a_camera(
     tiny_rig: Rig, draw: Draw, shown: Shown, picture: str, text: str
 ) -> None:
     images: dict[str, Any] = {**shown[0], "left": np.zeros_like(shown[0]["left"]) if picture == "dark" else None}
-    result = Pipeline(tiny_rig, draw([])).process(images, 0.0)
+    pipeline = Pipeline(tiny_rig, draw([]))
+    pipeline.process(shown[0], 0.0)  # objects are known from two views, and followed in one
+    result = pipeline.process(images, 0.1)
     if picture == "absent":
         del images["left"]
     truth, crop = shown[2], (10, 150, 20, 110)

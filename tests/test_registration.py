@@ -312,7 +312,7 @@ def test_a_vertical_line_of_the_world_falls_into_one_column(camera: Camera) -> N
 @pytest.mark.parametrize("camera", [LEFT, RIGHT, PARTIAL], ids=lambda c: c.name)
 def test_rows_are_depressions_and_columns_azimuths_of_known_points(camera: Camera) -> None:
     warp = PolarWarp(camera, FLOOR)
-    assert warp.step == pytest.approx(2.0 / np.sqrt(205 * 203))
+    assert warp.step == pytest.approx(3.0 / np.sqrt(205 * 203))
     np.testing.assert_allclose(warp.parameters[:3], camera.centre_m)
     towards = np.array([np.mean(FLOOR.x), np.mean(FLOOR.y)]) - camera.centre_m[:2]
     assert warp.parameters[3] == pytest.approx(np.arctan2(towards[1], towards[0]))
