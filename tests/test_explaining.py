@@ -13,7 +13,6 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from occlib import explaining
 from occlib.explaining import (
     HEIGHTS,
     RADII,

@@ -543,7 +543,6 @@ def test_inputs_stay_unchanged(method: str) -> None:
 
 
 def test_without_a_folder_for_the_cache_it_compiles_all_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
-    from occlib import kernels, measures
 
     real = kernels.numba.njit
 
