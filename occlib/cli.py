@@ -37,7 +37,7 @@ def build_parser() -> argparse.ArgumentParser:
     p.add_argument("recording", metavar="RECORDING", help="a folder with rig.yaml and frames/, or a name in data/lab")
     p.add_argument("--out", required=True, metavar="DIR", help="where the results go")
     p.add_argument("--cameras", nargs="+", metavar="NAME", help="views to use; all of the rig by default")
-    p.add_argument("--profile", default="recommended", metavar="NAME", help="recommended (default) or paper")
+    p.add_argument("--profile", default="recommended", metavar="NAME", help="recommended (default), and, or paper")
     p.add_argument("--rule", metavar="NAME", help="how views are joined: and, or, most, product, log-odds, explain")
     p.add_argument("--threshold", metavar="T", help="evidence, otsu, half-otsu, triangle, noise or grey levels")
     p.add_argument("--frames", metavar="START:STOP:STEP", help="only these frames, as in 40:149:4")

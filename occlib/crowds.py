@@ -23,11 +23,11 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial import ConvexHull
 
-from occlib.explaining import Cylinder, Explanation, PolarEvidence, explain
+from occlib.explaining import DEFAULT, Cylinder, Explanation, PolarEvidence, explain
 from occlib.geometry import Camera, FloatArray, Floor, Image, Mask, Rig, apply_homography, as_points
 from occlib.localization import find_regions
 from occlib.metrics import claimed_area_ratio, evaluate, footprint_coverage
-from occlib.occlusion import RULES, fuse, standing_places
+from occlib.occlusion import RULES, axis_colours, colour_agreement, fuse, standing_places
 from occlib.recordings import open_recording
 from occlib.registration import FloorWarp, PolarWarp
 from occlib.synthetic import (
@@ -66,7 +66,6 @@ PLANES_M = (0.0, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3)
 """Planes of the rule ``"planes"``: what reaches through half of them, so something at least 0.15 m high, is kept."""
 
 GREY = (90, 90, 90)
-_HOW = Explanation()
 EXPLAIN = ("explain", "explain, one spare")
 """Rules that are no vote on cells: :class:`MaskExplainer`, the second with one view that may miss an object."""
 
@@ -424,7 +423,7 @@ class Simulation:
 
     rig: Rig
     trust: tuple[float, float] = (0.8, 0.1)
-    how: Explanation = _HOW
+    how: Explanation = DEFAULT
 
     @cached_property
     def _scene(self) -> Scene:
@@ -629,7 +628,7 @@ class MaskExplainer:
     def __init__(
         self,
         rig: Rig,
-        how: Explanation = _HOW,
+        how: Explanation = DEFAULT,
         *,
         step_rad: float = 0.0045,
         planes_m: Sequence[float] = (0.0, 0.1, 0.3),
@@ -639,24 +638,22 @@ class MaskExplainer:
         self._polar = {n: PolarWarp(c, rig.floor, step_rad * float(c.matrix[0, 0])) for n, c in rig.cameras.items()}
         self._coarse = Floor(rig.floor.x, rig.floor.y, max(how.grid_m, rig.floor.resolution))
         self._planes = {n: [FloorWarp(c, self._coarse, z) for z in planes_m] for n, c in rig.cameras.items()}
+        self._visible = {n: np.stack([plane.visible for plane in planes]) for n, planes in self._planes.items()}
 
     def explain(self, masks: Mapping[str, Mask]) -> list[Cylinder]:
         """The cylinders that explain the masks of one instant, ``{camera: bool (H, W)}``; no memory of the last instant."""
-        polar = [self._polar[name] for name in masks]
-        rows, columns = np.max([warp.shape for warp in polar], axis=0)
-        weights, seen = np.zeros((len(polar), rows, columns), np.int32), np.zeros((len(polar), rows, columns), bool)
-        for k, (warp, mask) in enumerate(zip(polar, masks.values(), strict=True)):
+        views = []
+        for name, mask in masks.items():
+            warp = self._polar[name]
             share = warp.warp(np.where(mask, np.uint8(255), np.uint8(0))).astype(np.float64) / 255
             signed = np.where(share > 0.5, 255 * (2 * share - 1), 255 * self.how.background * (2 * share - 1))
-            window = np.s_[k, : warp.shape[0], : warp.shape[1]]
-            weights[window], seen[window] = np.rint(signed * warp.visible), warp.visible
+            views.append((warp.parameters, np.rint(signed * warp.visible).astype(np.int32), warp.visible))
         votes = {name: np.stack([plane.warp(mask) for plane in self._planes[name]]) for name, mask in masks.items()}
-        visible = {name: np.stack([plane.visible for plane in self._planes[name]]) for name in masks}
         standing = np.unique(
             np.vstack(
                 [
                     standing_places(
-                        [votes[n] for n in team], [visible[n] for n in team], self._coarse, level=0, views=fewest
+                        [votes[n] for n in team], [self._visible[n] for n in team], self._coarse, level=0, views=fewest
                     )
                     for fewest in [min(2, len(masks))]
                     for team in combinations(masks, max(fewest, len(masks) - self.spare))
@@ -664,79 +661,10 @@ class MaskExplainer:
             ),
             axis=0,
         )
-        sizes = np.array([warp.shape[::-1] for warp in polar], np.int64)
-        evidence = PolarEvidence(np.array([warp.parameters for warp in polar]), sizes, weights, seen)
-        return explain(evidence, standing, how=self.how)
+        return explain(PolarEvidence.of(views), standing, how=self.how)
 
 
 # --- colour ----------------------------------------------------------------------------------------
-def axis_colours(points_m: npt.ArrayLike, heights: npt.ArrayLike, images: Mapping[str, Image], rig: Rig) -> FloatArray:
-    """The mean colour that each view shows along the axes of upright things.
-
-    Parameters
-    ----------
-    points_m
-        Floor points (N, 2) in m.
-    heights
-        Of the things, (N,) or a number, in m; looked at from 0.3 to 0.7 of it.
-    images
-        ``{camera: uint8 RGB (H, W, 3)}``.
-    rig
-        The cameras.
-
-    Returns
-    -------
-    Shape (views, N, 3) in grey levels; NaN where a view does not see the axis.
-    """
-    points, shares = as_points(points_m), np.array([0.3, 0.4, 0.5, 0.6, 0.7])
-    tall = np.broadcast_to(np.asarray(heights, dtype=np.float64), len(points))
-    colours = np.full((len(images), len(points), 3), np.nan)
-    for k, (name, image) in enumerate(images.items()):
-        for i, point in enumerate(points):
-            pixels = rig[name].project(np.column_stack([np.tile(point, (len(shares), 1)), shares * tall[i]]))
-            pixels = np.rint(pixels[rig[name].inside(pixels)]).astype(int)
-            if len(pixels):
-                colours[k, i] = image[pixels[:, 1], pixels[:, 0]].mean(axis=0)
-    return colours
-
-
-def colour_agreement(
-    points_m: npt.ArrayLike, heights: npt.ArrayLike, images: Mapping[str, Image], rig: Rig
-) -> FloatArray:
-    """How much the views disagree about the colour of what may stand at a place: a ghost test.
-
-    All views show the same thing at an object that no other hides. At a ghost each view shows another object, the one that
-    casts its shadow there.
-
-    Parameters
-    ----------
-    points_m, heights, images, rig
-        As for :func:`axis_colours`, of the candidates; two or more images.
-
-    Returns
-    -------
-    Shape (N,): the largest distance between the colours of two views in grey levels, 0 to 442, lower is more alike; NaN where
-    fewer than two views see the axis.
-
-    Raises
-    ------
-    ValueError
-        Fewer than two images.
-
-    Examples
-    --------
-    >>> images = {name: np.full((480, 640, 3), level, np.uint8) for name, level in [("left", 90), ("right", 100)]}
-    >>> colour_agreement([[0, 0]], 0.2, images, wall_rig(2)).round(1)
-    array([17.3])
-    """
-    if len(images) < 2:
-        raise ValueError(f"images: expected two or more, got {len(images)}")
-    colours = axis_colours(points_m, heights, images, rig)
-    pairs = [np.linalg.norm(colours[a] - colours[b], axis=1) for a, b in combinations(range(len(images)), 2)]
-    largest = np.max(np.nan_to_num(pairs, nan=-1.0), axis=0)
-    return np.where(largest < 0, np.nan, largest)
-
-
 def colour_study(recording: str, frames: Iterable[int], *, height: float = 0.05) -> list[dict[str, Any]]:
     """How much two views disagree at what AND claims in a recording of the lab, for every pair of its cameras.
 

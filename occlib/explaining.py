@@ -1,7 +1,7 @@
 """Explaining away: the fewest upright objects of plausible size that explain all silhouettes (section 5, beyond AND).
 
-AND asks of each cell of the floor whether every view *could* have an object there. n objects in two views then leave up to
-n (n - 1) crossings where nothing stands. Here the question is turned round: which objects, put on the floor, would
+AND asks of each cell of the floor whether every view *could* have an object there. The shadows of n objects from two cameras
+then cross in up to n (n - 1) / 2 places where nothing stands. Here the question is turned round: which objects, put on the floor, would
 have cast the silhouettes that the cameras see? A ghost explains nothing that the real objects do not explain already, so it
 is never needed; an object that one view hides is, because the other view's silhouette would stay unexplained.
 
@@ -13,8 +13,8 @@ The objective of a set of cylinders, summed over the views' samples, is
 
     sum over covered samples of w  -  cost * (samples that each cylinder covers),    w in [-1, 1]
 
-where ``w`` > 0 is evidence of foreground and ``w`` < 0 of background, and a sample that several cylinders cover counts once.
-It is the log-likelihood of a probabilistic occupancy map (Fleuret et al. 2008, doi:10.1109/TPAMI.2007.1174) up to scale,
+where ``w`` > 0 is evidence of foreground and ``w`` < 0 of background, and a sample that several cylinders cover counts once;
+foreground that goes on right beyond a base or a top is subtracted (:data:`RIM_M`). But for that it is the log-likelihood of a probabilistic occupancy map (Fleuret et al. 2008, doi:10.1109/TPAMI.2007.1174) up to scale,
 maximised as marked point processes are (Utasi and Benedek 2011, doi:10.1109/CVPR.2011.5995699), but greedily: the best
 cylinder first, then each refined beside the others, then those dropped that the others explain as well.
 """
@@ -23,12 +23,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from functools import cached_property
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from occlib.geometry import FloatArray, Mask, as_points
+from occlib.geometry import FloatArray, Image, Mask, as_points
 from occlib.kernels import compiled
 
 RADII = np.array([0.06, 0.085, 0.12, 0.16, 0.21, 0.28, 0.36])
@@ -54,8 +55,7 @@ class Cylinder:
     height: float
 
 
-@dataclass(frozen=True)
-class Explanation:
+class Explanation(NamedTuple):
     """How hard the silhouettes are to be explained.
 
     Parameters
@@ -77,6 +77,8 @@ class Explanation:
         The last instant's objects stay unless a fresh search explains this share more.
     grid_m
         Spacing of the places tried.
+    most
+        No more objects than so many.
     """
 
     cost: float = 0.15
@@ -90,6 +92,10 @@ class Explanation:
     keep: float = 0.1
     grid_m: float = 0.08
     most: int = 32
+
+
+DEFAULT = Explanation()
+"""Chosen on the rendered recordings and on ufes-lab."""
 
 
 # --- kernels ---------------------------------------------------------------------------------------
@@ -173,28 +179,49 @@ def cover(views: Any, sizes: Any, weights: Any, sums: Any, thing: Any, margin: f
                 sums[k, row + 1, column] = total
 
 
+class _Search(NamedTuple):
+    """What all steps of a search share: the evidence, which stays, and memory to work in."""
+
+    views: Any
+    sizes: Any
+    weights: Any
+    sums: Any
+    seen: Any
+    spare: Any
+    spare_sums: Any
+    runs: Any
+    found: Any
+
+
 @compiled
-def _cover_all(
-    views: Any, sizes: Any, weights: Any, sums: Any, things: Any, count: int, but: int, margin: float, runs: Any
-) -> None:
+def _gain(at: Any, sums: Any, thing: Any, cost: float) -> float:
+    return gain(at.views, at.sizes, sums, at.seen, thing, cost, at.runs, at.found)
+
+
+@compiled
+def _cover(at: Any, thing: Any, margin: float) -> None:
+    cover(at.views, at.sizes, at.spare, at.spare_sums, thing, margin, at.runs)
+
+
+@compiled
+def _cover_all(at: Any, weights: Any, sums: Any, things: Any, count: int, but: int, margin: float) -> None:
+    """Fill ``weights`` and ``sums`` with the evidence that the cylinders, without one, leave unexplained."""
+    weights[:], sums[:] = at.weights, at.sums
     for j in range(count):
         if j != but:
-            cover(views, sizes, weights, sums, things[j], margin, runs)
+            cover(at.views, at.sizes, weights, sums, things[j], margin, at.runs)
 
 
 @compiled
-def _refined(
-    views: Any, sizes: Any, sums: Any, seen: Any, thing: Any, cost: float, step0: float, runs: Any, found: Any
-) -> Any:
+def _refined(at: Any, sums: Any, thing: Any, cost: float, step0: float) -> Any:
     """The cylinder moved and sized, in steps of ``step0`` m and ever smaller ones, to where it explains most."""
-    best = gain(views, sizes, sums, seen, thing, cost, runs, found)
-    for height in (
-        HEIGHTS if step0 > 0.03 else HEIGHTS[:0]
-    ):  # the height has far optima: a body is cut at the belt, or goes on in one that stands behind
+    best = _gain(at, sums, thing, cost)
+    # the height has far optima: a body is cut at the belt, or goes on in one that stands behind
+    for height in HEIGHTS if step0 > 0.03 else HEIGHTS[:0]:
         if plausible(thing[2], height):
             other = thing.copy()
             other[3] = height
-            value = gain(views, sizes, sums, seen, other, cost, runs, found)
+            value = _gain(at, sums, other, cost)
             if value > best + 1e-6:
                 best, thing = value, other
     step = step0 * np.array([1.0, 1.0, 0.5, max(0.33, 1.67 * thing[3])])
@@ -205,19 +232,19 @@ def _refined(
                 other = thing.copy()
                 other[i] += sign * step[i]
                 if plausible(other[2], other[3]):
-                    value = gain(views, sizes, sums, seen, other, cost, runs, found)
+                    value = _gain(at, sums, other, cost)
                     if value > best + 1e-6:
                         best, thing, improved = value, other, True
-        for k in range(len(views)):  # along the sight-line of one view: farther and lower looks the same to it
-            dx, dy = thing[0] - views[k, 0], thing[1] - views[k, 1]
+        for k in range(len(at.views)):  # along the sight-line of one view: farther and lower looks the same to it
+            dx, dy = thing[0] - at.views[k, 0], thing[1] - at.views[k, 1]
             distance = np.hypot(dx, dy)
             for sign in (1.0, -1.0):
                 other = thing.copy()
                 other[0] += sign * step[0] * dx / distance
                 other[1] += sign * step[0] * dy / distance
-                other[3] -= sign * step[0] * (views[k, 2] - thing[3]) / distance
+                other[3] -= sign * step[0] * (at.views[k, 2] - thing[3]) / distance
                 if plausible(other[2], other[3]):
-                    value = gain(views, sizes, sums, seen, other, cost, runs, found)
+                    value = _gain(at, sums, other, cost)
                     if value > best + 1e-6:
                         best, thing, improved = value, other, True
         if not improved:
@@ -228,7 +255,7 @@ def _refined(
 
 
 @compiled
-def _candidates(views: Any, sizes: Any, sums: Any, seen: Any, places: Any, cost: float, runs: Any, found: Any) -> Any:
+def _candidates(at: Any, sums: Any, places: Any, cost: float) -> Any:
     """For each place and radius the best height, where there is one: cylinders (N, 4) and what they explain (N,)."""
     things, values, n = np.empty((len(places) * len(RADII), 4)), np.empty(len(places) * len(RADII)), 0
     thing = np.empty(4)
@@ -239,7 +266,7 @@ def _candidates(views: Any, sizes: Any, sums: Any, seen: Any, places: Any, cost:
                 if not plausible(radius, height):
                     continue
                 thing[0], thing[1], thing[2], thing[3] = places[i, 0], places[i, 1], radius, height
-                value = gain(views, sizes, sums, seen, thing, cost, runs, found)
+                value = _gain(at, sums, thing, cost)
                 if value > best:
                     if best == 0.0:
                         n += 1
@@ -253,130 +280,63 @@ def _candidates(views: Any, sizes: Any, sums: Any, seen: Any, places: Any, cost:
 
 
 @compiled
-def _stands_alone(
-    views: Any,
-    sizes: Any,
-    weights0: Any,
-    sums0: Any,
-    spare: Any,
-    spare_sums: Any,
-    seen: Any,
-    things: Any,
-    count: int,
-    but: int,
-    thing: Any,
-    how: Any,
-    runs: Any,
-    found: Any,
-) -> bool:
+def _stands_alone(at: Any, things: Any, count: int, but: int, thing: Any, how: Any) -> bool:
     """Whether enough of a cylinder is explained by none of the others; a fragment must stand clear of what towers over it."""
-    _, _, area, share, fragment, margin, reach, fragment_reach, _ = how
-    spare[:], spare_sums[:] = weights0, sums0
+    at.spare[:], at.spare_sums[:] = at.weights, at.sums
     towered = False
     for j in range(count):
         if j != but:
-            cover(views, sizes, spare, spare_sums, things[j], margin + reach * things[j, 3], runs)
+            _cover(at, things[j], how.margin_m + how.reach * things[j, 3])
             apart = np.hypot(things[j, 0] - thing[0], things[j, 1] - thing[1])
             if things[j, 3] >= PERSON_M and apart < (0.5 if thing[3] < 0.6 * things[j, 3] else 0.3):
                 return False
             towered = towered or (thing[3] < 0.6 * things[j, 3] and apart < 0.3 + 0.5 * things[j, 3])
-    gain(views, sizes, spare_sums, seen, thing, 0.0, runs, found)
-    if found[0] < area or found[1] < share:
+    _gain(at, at.spare_sums, thing, 0.0)
+    if at.found[0] < how.least_area_m2 or at.found[1] < how.least_share:
         return False
     if towered:
         for j in range(count):
             if j != but and thing[3] < 0.6 * things[j, 3]:
-                cover(views, sizes, spare, spare_sums, things[j], margin + fragment_reach * things[j, 3], runs)
-        gain(views, sizes, spare_sums, seen, thing, 0.0, runs, found)
-    return found[0] >= area and (not towered or found[1] >= fragment)
+                _cover(at, things[j], how.margin_m + how.fragment_reach * things[j, 3])
+        _gain(at, at.spare_sums, thing, 0.0)
+    return at.found[0] >= how.least_area_m2 and (not towered or at.found[1] >= how.fragment_share)
 
 
 @compiled
-def _fill_up(
-    views: Any,
-    sizes: Any,
-    weights0: Any,
-    sums0: Any,
-    spare: Any,
-    spare_sums: Any,
-    seen: Any,
-    candidates: Any,
-    values: Any,
-    things: Any,
-    count: int,
-    how: Any,
-    runs: Any,
-    found: Any,
-) -> int:
+def _fill_up(at: Any, candidates: Any, values: Any, things: Any, count: int, how: Any) -> int:
     """Add the candidate that explains most of what is left, again and again. Values only fall, so few are looked at anew."""
-    weights, sums, bound = weights0.copy(), sums0.copy(), values.copy()
-    _cover_all(views, sizes, weights, sums, things, count, -1, 0.0, runs)
+    weights, sums, bound = at.weights.copy(), at.sums.copy(), values.copy()
+    _cover_all(at, weights, sums, things, count, -1, 0.0)
     while count < len(things) and len(bound):
         best = bound.argmax()
         if bound[best] <= 0:
             break
-        value = gain(views, sizes, sums, seen, candidates[best], how[0], runs, found)
+        value = _gain(at, sums, candidates[best], how.cost)
         if value < bound[best] - 1e-9:
             bound[best] = value
             continue
         bound[best] = -1.0
-        thing = _refined(views, sizes, sums, seen, candidates[best].copy(), how[0], 0.06, runs, found)
-        if _stands_alone(
-            views, sizes, weights0, sums0, spare, spare_sums, seen, things, count, -1, thing, how, runs, found
-        ):
+        thing = _refined(at, sums, candidates[best].copy(), how.cost, 0.06)
+        if _stands_alone(at, things, count, -1, thing, how):
             things[count] = thing
             count += 1
-            cover(views, sizes, weights, sums, thing, 0.0, runs)
+            cover(at.views, at.sizes, weights, sums, thing, 0.0, at.runs)
     return count
 
 
 @compiled
-def _settle(
-    views: Any,
-    sizes: Any,
-    weights0: Any,
-    sums0: Any,
-    spare: Any,
-    spare_sums: Any,
-    seen: Any,
-    things: Any,
-    count: int,
-    how: Any,
-    runs: Any,
-    found: Any,
-    step0: float,
-) -> int:
+def _settle(at: Any, things: Any, count: int, how: Any, step0: float) -> int:
     """Refine each cylinder beside the others, then drop, the weakest first, those that the others explain as well."""
-    weights, sums = weights0.copy(), sums0.copy()
+    weights, sums = at.weights.copy(), at.sums.copy()
     for k in range(count):
-        weights[:], sums[:] = weights0, sums0
-        _cover_all(views, sizes, weights, sums, things, count, k, 0.0, runs)
-        things[k] = _refined(views, sizes, sums, seen, things[k].copy(), how[0], step0, runs, found)
+        _cover_all(at, weights, sums, things, count, k, 0.0)
+        things[k] = _refined(at, sums, things[k].copy(), how.cost, step0)
     while count:
         worst, least = -1, np.inf
         for k in range(count):
-            weights[:], sums[:] = weights0, sums0
-            _cover_all(views, sizes, weights, sums, things, count, k, 0.0, runs)
-            value = gain(views, sizes, sums, seen, things[k], how[0], runs, found)
-            if value < least and (
-                value <= 0
-                or not _stands_alone(
-                    views,
-                    sizes,
-                    weights0,
-                    sums0,
-                    spare,
-                    spare_sums,
-                    seen,
-                    things,
-                    count,
-                    k,
-                    things[k],
-                    how,
-                    runs,
-                    found,
-                )
-            ):
+            _cover_all(at, weights, sums, things, count, k, 0.0)
+            value = _gain(at, sums, things[k], how.cost)
+            if value < least and (value <= 0 or not _stands_alone(at, things, count, k, things[k], how)):
                 worst, least = k, value
         if worst < 0:
             break
@@ -400,94 +360,79 @@ def objective(
 
 
 @compiled
-def _solve(
-    views: Any, sizes: Any, weights0: Any, sums0: Any, seen: Any, places: Any, before: Any, how: Any, most: int
-) -> Any:
-    runs, found = np.empty((weights0.shape[2] + 1, 4), np.int64), np.empty(3)
-    spare, spare_sums = weights0.copy(), sums0.copy()
-    best, n, total = np.zeros((most, 4)), 0, 0.0
-    if len(before):  # from the last instant's objects, and what they leave
-        for thing in before[:most]:
+def _continued(at: Any, places: Any, things: Any, count: int, how: Any) -> Any:
+    """The last instant's objects and what they leave: their number, their value, and whether nothing of weight is left."""
+    count = _settle(at, things, count, how, 0.03)
+    _cover_all(at, at.spare, at.spare_sums, things, count, -1, how.margin_m)
+    candidates, values = _candidates(at, at.spare_sums, places, how.cost)
+    known = count
+    count = _fill_up(at, candidates, values, things, count, how)
+    if count > known:
+        count = _settle(at, things, count, how, 0.06)
+    value = objective(at.views, at.sizes, at.weights, at.sums, at.seen, things, count, how.cost)
+    _cover_all(at, at.spare, at.spare_sums, things, count, -1, how.margin_m)
+    return count, value, np.maximum(at.spare, 0).sum() <= 0.1 * np.maximum(at.weights, 0).sum()
+
+
+@compiled
+def _replaced(at: Any, candidates: Any, best: Any, n: int, total: float, chosen: int, how: Any) -> Any:
+    """The objects with others tried first in the place of one, wherever that explains more; else as they are."""
+    weights, sums = at.weights.copy(), at.sums.copy()
+    _cover_all(at, weights, sums, best, n, chosen, 0.0)
+    left = np.empty(len(candidates))
+    for i in range(len(candidates)):
+        left[i] = _gain(at, sums, candidates[i], how.cost)
+    free = left.copy()
+    centre_x, centre_y = best[chosen, 0], best[chosen, 1]
+    for _ in range(6):
+        for i in range(len(candidates)):
+            if np.hypot(candidates[i, 0] - centre_x, candidates[i, 1] - centre_y) < 0.3:
+                free[i] = -1.0
+        first = free.argmax() if len(free) else 0
+        if len(free) == 0 or free[first] <= 0:
+            break
+        centre_x, centre_y = candidates[first, 0], candidates[first, 1]
+        things, count = np.zeros_like(best), 0
+        for j in range(n):
+            if j != chosen:
+                things[count] = best[j]
+                count += 1
+        things[count] = candidates[first]
+        count = _fill_up(at, candidates, left, things, count + 1, how)
+        count = _settle(at, things, count, how, 0.06)
+        value = objective(at.views, at.sizes, at.weights, at.sums, at.seen, things, count, how.cost)
+        if value > total + 1e-6:
+            return things, count, value
+    return best, n, total
+
+
+@compiled
+def _solve(at: Any, places: Any, before: Any, how: Any) -> Any:
+    best, n, total = np.zeros((how.most, 4)), 0, 0.0
+    if len(before):
+        for thing in before[: how.most]:
             best[n] = thing
             n += 1
-        n = _settle(views, sizes, weights0, sums0, spare, spare_sums, seen, best, n, how, runs, found, 0.03)
-        spare[:], spare_sums[:] = weights0, sums0
-        _cover_all(views, sizes, spare, spare_sums, best, n, -1, how[5], runs)
-        candidates, values = _candidates(views, sizes, spare_sums, seen, places, how[0], runs, found)
-        known = n
-        n = _fill_up(
-            views, sizes, weights0, sums0, spare, spare_sums, seen, candidates, values, best, n, how, runs, found
-        )
-        if n > known:
-            n = _settle(views, sizes, weights0, sums0, spare, spare_sums, seen, best, n, how, runs, found, 0.06)
-        total = objective(views, sizes, weights0, sums0, seen, best, n, how[0]) * (1 + how[8])
-        spare[:], spare_sums[:] = weights0, sums0
-        _cover_all(views, sizes, spare, spare_sums, best, n, -1, how[5], runs)
-        if np.maximum(spare, 0).sum() <= 0.1 * np.maximum(weights0, 0).sum():
-            return best[:n]  # nothing of weight is left: no need to begin anew
-    candidates, values = _candidates(views, sizes, sums0, seen, places, how[0], runs, found)
-    things = np.zeros((most, 4))
-    count = _fill_up(
-        views, sizes, weights0, sums0, spare, spare_sums, seen, candidates, values, things, 0, how, runs, found
-    )
-    count = _settle(views, sizes, weights0, sums0, spare, spare_sums, seen, things, count, how, runs, found, 0.06)
-    value = objective(views, sizes, weights0, sums0, seen, things, count, how[0])
+        n, value, done = _continued(at, places, best, n, how)
+        total = value * (1 + how.keep)
+        if done:
+            return best[:n]  # no need to begin anew
+    candidates, values = _candidates(at, at.sums, places, how.cost)
+    things = np.zeros((how.most, 4))
+    count = _settle(at, things, _fill_up(at, candidates, values, things, 0, how), how, 0.06)
+    value = objective(at.views, at.sizes, at.weights, at.sums, at.seen, things, count, how.cost)
     if value > total:
         best, n, total = things, count, value
-    for attempt in range(4):  # one wide object may stand for two: try others first in its place
+    for attempt in range(4):  # one wide object may stand for two
         chosen = -1
         for k in range(attempt, n):
-            gain(views, sizes, sums0, seen, best[k], how[0], runs, found)
-            if found[2] < 0.8 and best[k, 2] > 0.12:
+            _gain(at, at.sums, best[k], how.cost)
+            if at.found[2] < 0.8 and best[k, 2] > 0.12:
                 chosen = k
                 break
         if chosen < 0:
             break
-        weights, sums = weights0.copy(), sums0.copy()
-        _cover_all(views, sizes, weights, sums, best, n, chosen, 0.0, runs)
-        left = np.empty(len(candidates))
-        for i in range(len(candidates)):
-            left[i] = gain(views, sizes, sums, seen, candidates[i], how[0], runs, found)
-        open_ = left.copy()
-        centre_x, centre_y = best[chosen, 0], best[chosen, 1]
-        for _ in range(6):
-            for i in range(len(candidates)):
-                if np.hypot(candidates[i, 0] - centre_x, candidates[i, 1] - centre_y) < 0.3:
-                    open_[i] = -1.0
-            first = open_.argmax() if len(open_) else 0
-            if len(open_) == 0 or open_[first] <= 0:
-                break
-            centre_x, centre_y = candidates[first, 0], candidates[first, 1]
-            things, count = np.zeros((most, 4)), 0
-            for j in range(n):
-                if j != chosen:
-                    things[count] = best[j]
-                    count += 1
-            things[count] = candidates[first]
-            count += 1
-            count = _fill_up(
-                views,
-                sizes,
-                weights0,
-                sums0,
-                spare,
-                spare_sums,
-                seen,
-                candidates,
-                left,
-                things,
-                count,
-                how,
-                runs,
-                found,
-            )
-            count = _settle(
-                views, sizes, weights0, sums0, spare, spare_sums, seen, things, count, how, runs, found, 0.06
-            )
-            value = objective(views, sizes, weights0, sums0, seen, things, count, how[0])
-            if value > total + 1e-6:
-                best, n, total = things, count, value
-                break
+        best, n, total = _replaced(at, candidates, best, n, total, chosen, how)
     return best[:n]
 
 
@@ -562,10 +507,21 @@ class PolarEvidence:
                 f"sizes: expected {shape[0]} times columns, rows up to {shape[:0:-1]}, got {self.sizes.tolist()}"
             )
 
-    @property
-    def sums(self) -> npt.NDArray[np.int32]:
-        """Running sums of the weights down the columns, int32 (K, rows + 1, columns)."""
-        return running_sums(self.weights)
+    @classmethod
+    def of(cls, views: Sequence[tuple[FloatArray, Image, Mask]]) -> PolarEvidence:
+        """Views of different size side by side: for each its parameters, weights and samples seen, (rows, columns) each."""
+        sizes = np.array([seen.shape[::-1] for _, _, seen in views], np.int64)
+        columns, rows = sizes.max(axis=0)
+        weights, seen = np.zeros((len(views), rows, columns), np.int32), np.zeros((len(views), rows, columns), bool)
+        for k, (_, own, samples) in enumerate(views):
+            window = np.s_[k, : samples.shape[0], : samples.shape[1]]
+            weights[window], seen[window] = own, samples
+        return cls(np.array([parameters for parameters, _, _ in views]), sizes, weights, seen)
+
+    @cached_property
+    def seen_sums(self) -> npt.NDArray[np.int32]:
+        """Running sums of the samples seen down the columns, int32 (K, rows + 1, columns)."""
+        return running_sums(self.seen)
 
 
 def running_sums(values: npt.NDArray[Any]) -> npt.NDArray[np.int32]:
@@ -595,7 +551,7 @@ def explain(
     places_m: npt.ArrayLike,
     *,
     before: Sequence[Cylinder] = (),
-    how: Explanation = Explanation(),
+    how: Explanation = DEFAULT,
 ) -> list[Cylinder]:
     """The fewest plausible cylinders that explain the silhouettes of all views.
 
@@ -622,23 +578,12 @@ def explain(
     places, last = as_points(places_m, name="places_m"), _as_array(before, "before")
     if not np.isfinite(places).all():
         raise ValueError("places_m: expected finite numbers, got NaN or infinity")
-    numbers = np.array(
-        [
-            how.cost,
-            how.background,
-            how.least_area_m2,
-            how.least_share,
-            how.fragment_share,
-            how.margin_m,
-            how.reach,
-            how.fragment_reach,
-            how.keep,
-        ]
+    weights, sums = evidence.weights, running_sums(evidence.weights)
+    runs, found = np.empty((weights.shape[2] + 1, 4), np.int64), np.empty(3)
+    at = _Search(
+        evidence.views, evidence.sizes, weights, sums, evidence.seen_sums, weights.copy(), sums.copy(), runs, found
     )
-    seen = running_sums(evidence.seen)
-    things = _solve(
-        evidence.views, evidence.sizes, evidence.weights, evidence.sums, seen, places, last, numbers, how.most
-    )
+    things = _solve(at, places, last, how)
     return [Cylinder(*map(float, thing)) for thing in things]
 
 
@@ -661,5 +606,5 @@ def occlusion_state(evidence: PolarEvidence, things: Sequence[Cylinder]) -> tupl
     fractions = np.zeros((len(array), len(evidence.views)))
     by = np.full(fractions.shape, -1, np.int64)
     if len(array):
-        _hidden(evidence.views, evidence.sizes, running_sums(evidence.seen), array, fractions, by)
+        _hidden(evidence.views, evidence.sizes, evidence.seen_sums, array, fractions, by)
     return fractions, by

@@ -194,10 +194,9 @@ class Camera:
         pixels, straight = pixels[valid], straight[valid]  # beyond the fold of the distortion nothing can be inverted
         floor = apply_homography(self.image_to_floor, straight)
         depth = floor @ rotation[2, :2] + translation[2]
+        centre = -rotation.T @ translation
         with np.errstate(invalid="ignore"):
-            seen = (depth > 1e-9) & (
-                np.hypot(*(floor + (rotation.T @ translation)[:2]).T) < 10 * self._elevation(rotation, translation)
-            )
+            seen = (depth > 1e-9) & (np.hypot(*(floor - centre[:2]).T) < 10 * centre[2])
         if seen.sum() < 12:
             return rotation, translation
         points = np.column_stack([floor[seen], np.zeros(int(seen.sum()))])
@@ -214,11 +213,6 @@ class Camera:
             translation.reshape(3, 1).copy(),
         )
         return np.asarray(cv2.Rodrigues(turn)[0], float), np.asarray(shift, float).reshape(3)
-
-    @staticmethod
-    def _elevation(rotation: FloatArray, translation: FloatArray) -> float:
-        """Height of the optical centre above the floor in m."""
-        return float(-rotation[:, 2] @ translation)
 
     @cached_property
     def centre_m(self) -> FloatArray:

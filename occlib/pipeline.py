@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 from tqdm import tqdm
 
-from occlib.explaining import Cylinder, Explanation, PolarEvidence, explain, occlusion_state
+from occlib.explaining import DEFAULT, Cylinder, Explanation, PolarEvidence, explain, occlusion_state
 from occlib.foreground import (
     SURE,
     Background,
@@ -27,7 +27,7 @@ from occlib.geometry import FloatArray, Floor, Image, Mask, Rig
 from occlib.health import CameraMonitor
 from occlib.localization import Region, find_regions, split_regions
 from occlib.mapping import BLIND, DISAGREE, ONE_VIEW, OccupancyMap, occupancy_map
-from occlib.occlusion import RULES, fuse, hidden_fractions, standing_places
+from occlib.occlusion import RULES, axis_colours, fuse, hidden_fractions, standing_places
 from occlib.recordings import Recording, check_size
 from occlib.registration import FloorWarp, PolarWarp
 from occlib.tracking import ObjectVector, Observation, Tracker
@@ -284,7 +284,7 @@ class Pipeline:
     ) -> tuple[npt.NDArray[np.int32], list[Observation], FloatArray, npt.NDArray[np.int64]]:
         assert self._explainer is not None
         labels = footprints(things, occupied, self.rig.floor)
-        hidden, by = self._explainer.state(things, list(frames))
+        hidden, by = self._explainer.state(frames)
         areas = np.bincount(labels.ravel(), minlength=len(things) + 1)[1:] * self.rig.floor.cell_area
         colours = self._colours(things, hidden, frames)
         seen = [
@@ -302,10 +302,8 @@ class Pipeline:
         colours = []
         for i, thing in enumerate(things):
             best = list(frames)[int(np.argmin(np.nan_to_num(hidden[i], nan=2.0)))]
-            axis = [[thing.x, thing.y, share * thing.height] for share in (0.3, 0.4, 0.5, 0.6, 0.7)]
-            pixels = self.rig[best].project(axis)
-            x, y = np.rint(pixels[self.rig[best].inside(pixels)]).astype(int).T
-            r, g, b = frames[best][y, x].mean(axis=0) if len(x) else (0.0, 0.0, 0.0)
+            seen = axis_colours([(thing.x, thing.y)], thing.height, {best: frames[best]}, self.rig)
+            r, g, b = np.nan_to_num(seen[0, 0])
             colours.append((round(float(r)), round(float(g)), round(float(b))))
         return colours
 
@@ -399,59 +397,49 @@ class Pipeline:
 class _Explainer:
     """Turns the views' evidence into polar views, and keeps the last instant's objects."""
 
-    def __init__(self, rig: Rig, backgrounds: Mapping[str, Background], how: Explanation | None = None) -> None:
-        self.how, self.before = how or Explanation(), list[Cylinder]()
-        names = list(rig.cameras)
+    def __init__(self, rig: Rig, backgrounds: Mapping[str, Background], how: Explanation = DEFAULT) -> None:
+        self.how, self.before = how, list[Cylinder]()
         # a picture of fewer px is sampled finer: the objects are as large
         self.polar = {n: PolarWarp(c, rig.floor, 3.0 * min(1.0, c.size[0] / 640)) for n, c in rig.cameras.items()}
-        self.views = np.array([self.polar[name].parameters for name in names])
-        self.sizes = np.array([self.polar[name].shape[::-1] for name in names], np.int64)
-        columns, rows = self.sizes.max(axis=0)
-        self.seen = np.zeros((len(names), rows, columns), bool)
-        self.certain = np.zeros(self.seen.shape, np.float32)
-        for k, name in enumerate(names):
-            warp = self.polar[name]
-            window = np.s_[k, : warp.shape[0], : warp.shape[1]]
-            self.seen[window] = warp.visible
-            # a dark background says little against a dark object
-            light = warp.warp(cv2.GaussianBlur(backgrounds[name].image, (9, 9), 0)).mean(axis=2)
-            self.certain[window] = np.clip((light - 20) / 60, 0.15, 1) * self.how.background
-        coarse = Floor(rig.floor.x, rig.floor.y, max(self.how.grid_m, rig.floor.resolution))
-        self.coarse = coarse
-        self.planes = {n: [FloorWarp(c, coarse, h) for h in PLANES_M] for n, c in rig.cameras.items()}
-        self.names = names
+        # a dark background says little against a dark object
+        light = {
+            n: w.warp(cv2.GaussianBlur(backgrounds[n].image, (9, 9), 0)).mean(axis=2) for n, w in self.polar.items()
+        }
+        self.certain = {
+            n: (np.clip((l - 20) / 60, 0.15, 1) * how.background).astype(np.float32) for n, l in light.items()
+        }
+        self.coarse = Floor(rig.floor.x, rig.floor.y, max(how.grid_m, rig.floor.resolution))
+        self.planes = {n: [FloorWarp(c, self.coarse, h) for h in PLANES_M] for n, c in rig.cameras.items()}
+        self.visible = {n: np.stack([plane.visible for plane in planes]) for n, planes in self.planes.items()}
 
     def explain(self, evidence: Mapping[str, tuple[Image, int]]) -> list[Cylinder]:
         """The objects of this instant from each camera's evidence and the level above which it is foreground."""
-        weights = np.zeros(self.seen.shape, np.int32)
-        votes, visible = [], []
-        for name, (picture, level) in evidence.items():
-            k, warp = self.names.index(name), self.polar[name]
-            window = np.s_[k, : warp.shape[0], : warp.shape[1]]
-            soft = _weights(level)[warp.warp(picture)]
-            weights[window] = np.where(soft > 0, soft, soft * self.certain[window]) * self.seen[window]
-            votes.append(np.stack([plane.warp(picture) > level for plane in self.planes[name]]))
-            visible.append(np.stack([plane.visible for plane in self.planes[name]]))
-        if not votes:
+        views = []
+        for name, warp in self.polar.items():
+            if name in evidence:
+                picture, level = evidence[name]
+                soft = _weights(level)[warp.warp(picture)]
+                soft = np.where(soft > 0, soft, soft * self.certain[name]) * warp.visible
+                views.append((warp.parameters, soft.astype(np.int32), warp.visible))
+            else:
+                views.append((warp.parameters, np.zeros(warp.shape, np.int32), np.zeros(warp.shape, bool)))
+        self.evidence = PolarEvidence.of(views)
+        if evidence:
+            votes = [
+                np.stack([plane.warp(e) > at for plane in self.planes[name]]) for name, (e, at) in evidence.items()
+            ]
+            visible = [self.visible[name] for name in evidence]
+            places = standing_places(votes, visible, self.coarse, level=0, views=min(2, len(self.polar)))
+            self.before = explain(self.evidence, places, before=self.before, how=self.how)
+        else:
             self.before = []
-            return []
-        places = standing_places(votes, visible, self.coarse, level=0, views=min(2, len(self.names)))
-        self.before = explain(
-            PolarEvidence(self.views, self.sizes, weights, self._working(evidence)),
-            places,
-            before=self.before,
-            how=self.how,
-        )
         return self.before
 
-    def state(self, things: Sequence[Cylinder], cameras: Sequence[str]) -> tuple[FloatArray, npt.NDArray[np.int64]]:
-        """Hidden fractions (n, cameras) and what hides."""
-        k = [self.names.index(name) for name in cameras]
-        empty = np.zeros((len(k), *self.seen.shape[1:]), np.int32)
-        return occlusion_state(PolarEvidence(self.views[k], self.sizes[k], empty, self.seen[k]), things)
-
-    def _working(self, evidence: Mapping[str, Any]) -> Mask:
-        return self.seen & np.array([name in evidence for name in self.names])[:, None, None]
+    def state(self, cameras: Iterable[str]) -> tuple[FloatArray, npt.NDArray[np.int64]]:
+        """Hidden fractions of the objects, (n, cameras), and what hides them."""
+        fractions, by = occlusion_state(self.evidence, self.before)
+        chosen = [list(self.polar).index(name) for name in cameras]
+        return fractions[:, chosen], by[:, chosen]
 
 
 def _weights(level: int) -> npt.NDArray[np.float32]:
@@ -470,15 +458,10 @@ def footprints(things: Sequence[Cylinder], occupied: Mask, floor: Floor) -> npt.
     labels, nearest = np.zeros(floor.shape, np.int32), np.full(floor.shape, np.inf, np.float32)
     for number, thing in enumerate(things, start=1):
         spare = 0.05 + 0.25 * thing.radius
-        (x0, y0), (x1, y1) = floor.cells(
-            [[thing.x + sign * (thing.radius + spare), thing.y + sign * (thing.radius + spare)] for sign in (-1, 1)]
-        )
-        rows = slice(max(int(y0), 0), max(int(y1) + 2, 0))
-        columns = slice(max(int(x0), 0), max(int(x1) + 2, 0))
-        iy, ix = np.mgrid[rows, columns][:, : floor.shape[0], : floor.shape[1]]
-        iy, ix = iy[iy[:, :1].ravel() < floor.shape[0]], ix[iy[:, :1].ravel() < floor.shape[0]]
-        keep = ix[0] < floor.shape[1] if len(ix) else slice(0)
-        iy, ix = iy[:, keep], ix[:, keep]
+        reach = thing.radius + spare
+        low, high = floor.cells([[thing.x - reach, thing.y - reach], [thing.x + reach, thing.y + reach]])
+        (x0, y0), (x1, y1) = (np.clip(corner, 0, floor.shape[::-1]).astype(int) for corner in (low, high + 2))
+        iy, ix = np.mgrid[y0:y1, x0:x1]
         x = floor.x[0] + (ix + 0.5) * floor.resolution
         y = floor.y[0] + (iy + 0.5) * floor.resolution
         rim = (np.hypot(x - thing.x, y - thing.y) - thing.radius).astype(np.float32)

@@ -12,8 +12,50 @@ import numpy.typing as npt
 from occlib.geometry import Camera, FloatArray, Floor, Image, Mask, apply_homography
 
 
+class _Warp:
+    """A look-up of a camera's images: what :class:`FloorWarp` and :class:`PolarWarp` do once they know the ``pixels``."""
+
+    camera: Camera
+
+    @cached_property
+    def pixels(self) -> FloatArray:
+        """Raw px of every sample, (rows, columns, 2); NaN where the camera does not see it."""
+        raise NotImplementedError
+
+    @cached_property
+    def visible(self) -> Mask:
+        """Samples that this camera can see, bool (rows, columns)."""
+        return np.isfinite(self.pixels[..., 0])
+
+    @cached_property
+    def _maps(self) -> tuple[Image, Image]:
+        pixels = np.nan_to_num(self.pixels, nan=-10.0).astype(np.float32)  # off the image: the border value, 0
+        return cv2.convertMaps(pixels[..., 0], pixels[..., 1], cv2.CV_16SC2)
+
+    @cached_property
+    def _nearest(self) -> tuple[Image, Image]:
+        # cv2.remap does not round the fixed-point maps above when asked for the nearest pixel
+        return np.rint(np.nan_to_num(self.pixels, nan=-10.0)).astype(np.int16), np.empty(0, np.uint16)
+
+    def warp(self, image: Image) -> Image:
+        """An image (H, W) or (H, W, 3) of this camera as the samples show it, (rows, columns[, 3]), same dtype.
+
+        Bilinear; a bool mask takes the nearest pixel. Samples that the camera does not see are 0.
+        """
+        width, height = self.camera.size
+        if image.shape[:2] != (height, width):
+            raise ValueError(f"image: expected {(height, width)} for {self.camera.name}, got {image.shape[:2]}")
+        if image.dtype == np.bool_:
+            return self._remap(image.view(np.uint8), self._nearest, cv2.INTER_NEAREST).view(np.bool_)
+        return self._remap(image, self._maps, cv2.INTER_LINEAR)
+
+    @staticmethod
+    def _remap(image: Image, maps: tuple[Image, Image], interpolation: int) -> Image:
+        return np.asarray(cv2.remap(image, *maps, interpolation, borderMode=cv2.BORDER_CONSTANT, borderValue=0))
+
+
 @dataclass(frozen=True)
-class FloorWarp:
+class FloorWarp(_Warp):
     """Takes a camera's images to the floor map, or to a plane above it, lens distortion and homography in one look-up.
 
     Parameters
@@ -39,40 +81,9 @@ class FloorWarp:
         pixels[~self.camera.inside(pixels)] = np.nan
         return pixels.reshape(*self.floor.shape, 2)
 
-    @cached_property
-    def visible(self) -> Mask:
-        """Cells that this camera can see, bool (ny, nx)."""
-        return np.isfinite(self.pixels[..., 0])
-
-    @cached_property
-    def _maps(self) -> tuple[Image, Image]:
-        pixels = np.nan_to_num(self.pixels, nan=-10.0).astype(np.float32)  # off the image: the border value, 0
-        return cv2.convertMaps(pixels[..., 0], pixels[..., 1], cv2.CV_16SC2)
-
-    @cached_property
-    def _nearest(self) -> tuple[Image, Image]:
-        # cv2.remap does not round the fixed-point maps above when asked for the nearest pixel
-        return np.rint(np.nan_to_num(self.pixels, nan=-10.0)).astype(np.int16), np.empty(0, np.uint16)
-
-    def warp(self, image: Image) -> Image:
-        """An image (H, W) or (H, W, 3) of this camera on the floor map, (ny, nx[, 3]), same dtype.
-
-        Bilinear; a bool mask takes the nearest pixel. Cells that the camera does not see are 0.
-        """
-        width, height = self.camera.size
-        if image.shape[:2] != (height, width):
-            raise ValueError(f"image: expected {(height, width)} for {self.camera.name}, got {image.shape[:2]}")
-        if image.dtype == np.bool_:
-            return self._remap(image.view(np.uint8), self._nearest, cv2.INTER_NEAREST).view(np.bool_)
-        return self._remap(image, self._maps, cv2.INTER_LINEAR)
-
-    @staticmethod
-    def _remap(image: Image, maps: tuple[Image, Image], interpolation: int) -> Image:
-        return np.asarray(cv2.remap(image, *maps, interpolation, borderMode=cv2.BORDER_CONSTANT, borderValue=0))
-
 
 @dataclass(frozen=True)
-class PolarWarp:
+class PolarWarp(_Warp):
     """Takes a camera's images to its polar view: a column is an azimuth about the camera, a row an angle of depression.
 
     A vertical line of the world, whatever its distance, is a vertical line of the polar view: an upright object covers in
@@ -137,25 +148,6 @@ class PolarWarp:
         pixels = self.camera.project(self.camera.centre_m + rays.reshape(-1, 3))
         pixels[~self.camera.inside(pixels)] = np.nan
         return pixels.reshape(rows, columns, 2)
-
-    @cached_property
-    def visible(self) -> Mask:
-        """Samples that the camera sees, bool (rows, columns)."""
-        return np.isfinite(self.pixels[..., 0])
-
-    @cached_property
-    def _maps(self) -> tuple[Image, Image]:
-        pixels = np.nan_to_num(self.pixels, nan=-10.0).astype(np.float32)
-        return cv2.convertMaps(pixels[..., 0], pixels[..., 1], cv2.CV_16SC2)
-
-    def warp(self, image: Image) -> Image:
-        """An image (H, W) or (H, W, 3) of this camera as its polar view, bilinear, same dtype; 0 where it does not see."""
-        width, height = self.camera.size
-        if image.shape[:2] != (height, width):
-            raise ValueError(f"image: expected {(height, width)} for {self.camera.name}, got {image.shape[:2]}")
-        return np.asarray(
-            cv2.remap(image, *self._maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=0)
-        )
 
 
 def undistort(image: Image, camera: Camera) -> Image:
