@@ -42,6 +42,9 @@ def build_parser() -> argparse.ArgumentParser:
     p.add_argument("--threshold", metavar="T", help="evidence, otsu, half-otsu, triangle, noise or grey levels")
     p.add_argument("--frames", metavar="START:STOP:STEP", help="only these frames, as in 40:149:4")
     p.add_argument("--maps", action="store_true", help="a map of every frame, in DIR/maps")
+    p.add_argument(
+        "--templates", metavar="FOLDER", help="pictures LABEL.png of known objects, which then get that label"
+    )
 
     p = add("evaluate", "Score objects.jsonl against truth.json.", evaluate)
     p.add_argument("objects", metavar="OBJECTS.jsonl")
@@ -131,7 +134,7 @@ def run(args: argparse.Namespace) -> int:
     from occlib.metrics import load_truth
     from occlib.pipeline import Pipeline, backgrounds_of, settings_for
     from occlib.plotting import figure_png, overview
-    from occlib.recordings import open_recording, parse_frames, staged_folder, write_file
+    from occlib.recordings import open_recording, parse_frames, read_templates, staged_folder, write_file
 
     recording = open_recording(args.recording, args.cameras)
     frames = list(recording.frames) if args.frames is None else parse_frames(args.frames, recording.frames)
@@ -144,7 +147,8 @@ def run(args: argparse.Namespace) -> int:
         )
     lines, out, excluded = [], Path(args.out), dict[tuple[str, str], list[int]]()
     with staged_folder(out) as stage:
-        pipeline = Pipeline(recording.rig, backgrounds_of(recording, progress=True), settings)
+        templates = None if args.templates is None else read_templates(args.templates)
+        pipeline = Pipeline(recording.rig, backgrounds_of(recording, progress=True), settings, templates)
         for frame, images in tqdm(
             recording.images(frames), total=len(frames), unit="frame", desc=recording.path.name, disable=None
         ):

@@ -20,9 +20,10 @@ from occlib.geometry import Floor, Mask
 from occlib.recordings import read_image, read_yaml, write_file
 
 FREE, OCCUPIED, UNKNOWN = 0, 100, -1
-BLIND, ONE_VIEW, DISAGREE = 1, 2, 3
-REASONS = {BLIND: "no camera sees it", ONE_VIEW: "one view only", DISAGREE: "views disagree"}
-"""Why a cell is unknown: blind; foreground in the only view that is left; or foreground that the objects on the map explain."""
+BLIND, ONE_VIEW, DISAGREE, UNCONFIRMED = 1, 2, 3, 4
+REASONS = {BLIND: "no camera sees it", ONE_VIEW: "one view only", DISAGREE: "views disagree", UNCONFIRMED: "new"}
+"""Why a cell is unknown: blind; foreground in the only view that is left; foreground that the objects on the map explain; or
+something new that may be a ghost."""
 MapData: TypeAlias = npt.NDArray[np.int8]
 
 _GREY = {FREE: 254, OCCUPIED: 0, UNKNOWN: 205}

@@ -15,6 +15,7 @@ from occlib.explaining import DEFAULT, Cylinder, Explanation, PolarEvidence, exp
 from occlib.foreground import (
     SURE,
     Background,
+    adjust_intensity,
     as_background,
     average_background,
     foreground_evidence,
@@ -26,7 +27,8 @@ from occlib.foreground import (
 from occlib.geometry import FloatArray, Floor, Image, Mask, Rig
 from occlib.health import CameraMonitor
 from occlib.localization import Region, find_regions, split_regions
-from occlib.mapping import BLIND, DISAGREE, ONE_VIEW, OccupancyMap, occupancy_map
+from occlib.mapping import BLIND, DISAGREE, ONE_VIEW, UNCONFIRMED, OccupancyMap, occupancy_map
+from occlib.matching import similarity
 from occlib.occlusion import RULES, axis_colours, fuse, hidden_fractions, standing_places
 from occlib.recordings import Recording, check_size
 from occlib.registration import FloorWarp, PolarWarp
@@ -38,6 +40,8 @@ HIDDEN_ESTIMATE = 0.95
 """The same for the estimate from cylinders, which lose a little of what still sticks out."""
 PLANES_M = (0.0, 0.1, 0.3, 0.6, 1.0, 1.4)
 """Heights at which something that stands is looked for: where feet are hidden, the body still places it."""
+LIKENESS, DISTINCT = 38.0, 1.1
+"""Mean absolute difference, in grey levels, up to which an object resembles a template, and by how much another must be worse."""
 
 
 @dataclass(frozen=True)
@@ -70,6 +74,9 @@ class Settings:
         ``"centroid"`` (Eq 3, 4) or ``"middle"`` of the extent, which a half-hidden footprint disturbs less.
     remove_ghosts
         Drop evidence that every view sees only behind other objects: those explain it.
+    confirm_s
+        What is new must be seen for so long before it is an object; until then its cells are unknown. See
+        :class:`occlib.tracking.Tracker`.
     """
 
     colour: bool = True
@@ -82,6 +89,7 @@ class Settings:
     min_area_m2: float = 0.015
     position: str = "middle"
     remove_ghosts: bool = True
+    confirm_s: float = 0.2
 
     def __post_init__(self) -> None:
         known = [rule for rule in RULES if rule != "planes"] + ["explain"]
@@ -95,7 +103,7 @@ class Settings:
 
 PROFILES = {
     "recommended": Settings(),
-    "and": Settings(threshold="half-otsu", rule="and"),
+    "and": Settings(threshold="half-otsu", rule="and", confirm_s=0.0),
     "paper": Settings(
         colour=False,
         threshold="otsu",
@@ -106,6 +114,7 @@ PROFILES = {
         min_area_m2=0.002,
         position="centroid",
         remove_ghosts=False,
+        confirm_s=0.0,
     ),
 }
 """``paper``: grey difference, Otsu, AND, centroid, as far as the paper says; noise floor and tracker are ours.
@@ -139,7 +148,7 @@ class FrameResult:
     reason
         uint8 (ny, nx), why a cell is unknown: :data:`occlib.mapping.REASONS`; 0 where it is known.
     objects
-        The object vectors M{p, V, C}.
+        The object vectors M{p, V, C} of what is confirmed.
     excluded
         The cameras that are not to be trusted now, and why: missing, black, covered or frozen.
     hidden_by
@@ -168,6 +177,9 @@ class Pipeline:
         For each camera a ``Background``, or a uint8 RGB picture of the empty floor.
     settings
         How to run the stages; the recommended ones by default.
+    templates
+        ``{label: picture}`` of known objects, uint8 RGB, or RGBA where alpha says which pixels count; each shows its object from
+        head to foot, in any of the cameras. An object that resembles one (:data:`LIKENESS`) gets its label, and if it was away, its id again.
 
     Examples
     --------
@@ -184,11 +196,15 @@ class Pipeline:
         rig: Rig,
         backgrounds: Mapping[str, Background | npt.ArrayLike],
         settings: Settings = PROFILES["recommended"],
+        templates: Mapping[str, Image] | None = None,
     ) -> None:
         missing = [name for name in rig.cameras if name not in backgrounds]
         if missing:
             raise ValueError(f"backgrounds: expected one for every camera, missing {', '.join(missing)}")
-        self.rig, self.settings, self.tracker = rig, settings, Tracker()
+        self.rig, self.settings, self.tracker = rig, settings, Tracker(confirm_s=settings.confirm_s)
+        self.templates = {label: _template(label, picture) for label, picture in (templates or {}).items()}
+        if self.templates and settings.rule != "explain":
+            raise ValueError(f"templates: expected rule explain, which knows the objects' sizes, got {settings.rule}")
         self.backgrounds = {name: as_background(backgrounds[name]) for name in rig.cameras}
         for name, background in self.backgrounds.items():
             check_size(background.image, rig[name].size, f"background of {name}")
@@ -239,8 +255,11 @@ class Pipeline:
             cores = {name: floor[name] > core for name, (_, _, core) in evidence.items()}
             labels, seen, hidden = self._regions(occupied, views, cores, frames)
             by = np.full(hidden.shape, -1)
-        objects = self.tracker.update(seen, time)
-        grid, reason = self._map(labels, views, occupied)
+        identify = (lambda i: self._identify(i, hidden[i], frames)) if self.templates else None
+        objects = self.tracker.update(seen, time, identify)
+        labels, candidates = _confirmed_first(labels, objects)
+        grid, reason = self._map(labels, candidates, views, occupied)
+        hidden_by = _hidden_by(objects, hidden, by, list(frames))
         return FrameResult(
             time,
             views,
@@ -248,9 +267,9 @@ class Pipeline:
             labels,
             grid,
             reason,
-            objects,
+            [thing for thing in objects if thing.id],
             excluded,
-            _hidden_by(objects, hidden, by, list(frames)),
+            [by for thing, by in zip(objects, hidden_by, strict=True) if thing.id],
         )
 
     def evidence(self, name: str, image: Image) -> tuple[Image, int, int]:
@@ -289,7 +308,11 @@ class Pipeline:
         colours = self._colours(things, hidden, frames)
         seen = [
             Observation(
-                (t.x, t.y), float(areas[i]), colours[i], hidden_in=_hidden_in(hidden[i], frames, HIDDEN_ESTIMATE)
+                (t.x, t.y),
+                float(areas[i]),
+                colours[i],
+                hidden_in=_hidden_in(hidden[i], frames, HIDDEN_ESTIMATE),
+                visible=_visible(hidden[i], frames),
             )
             for i, t in enumerate(things)
         ]
@@ -306,6 +329,24 @@ class Pipeline:
             r, g, b = np.nan_to_num(seen[0, 0])
             colours.append((round(float(r)), round(float(g)), round(float(b))))
         return colours
+
+    def _identify(self, i: int, hidden: FloatArray, frames: Mapping[str, Image]) -> str | None:
+        """The template that object ``i`` clearly resembles most in the view that sees it best."""
+        assert self._explainer is not None
+        least = int(np.argmin(np.nan_to_num(hidden, nan=2.0)))
+        if not hidden[least] < 0.2:
+            return None
+        name = list(frames)[least]
+        left, top, right, bottom = _box(self._explainer.before[i], self.rig, name)
+        width, height = right - left, bottom - top
+        rows, columns = (
+            slice(max(low - s // 4, 0), max(low + s + s // 4, 0)) for low, s in ((top, height), (left, width))
+        )
+        window = adjust_intensity(frames[name], self.backgrounds[name].image)[rows, columns]
+        scores = {label: _likeness(window, *template, height) for label, template in self.templates.items()}
+        best = min(scores, key=lambda label: scores[label])
+        others = [score for label, score in scores.items() if label != best]
+        return best if scores[best] <= LIKENESS and all(score >= DISTINCT * scores[best] for score in others) else None
 
     # --- objects that are regions of the fused evidence ----------------------------------------------
     def _regions(
@@ -359,6 +400,7 @@ class Pipeline:
             area_m2=region.area * floor.cell_area,
             colour=self._colour(region, labels, best, frames[best]),
             hidden_in=_hidden_in(hidden, frames, HIDDEN),
+            visible=_visible(hidden, frames),
         )
 
     def _colour(self, region: Region, labels: Image, name: str, image: Image) -> tuple[int, int, int]:
@@ -375,7 +417,7 @@ class Pipeline:
 
     # --- the map -------------------------------------------------------------------------------------
     def _map(
-        self, labels: Image, views: Mapping[str, Mask], occupied: Mask
+        self, labels: Image, candidates: Mask, views: Mapping[str, Mask], occupied: Mask
     ) -> tuple[OccupancyMap, npt.NDArray[np.uint8]]:
         """Occupied where an object is; free where a view looks at bare floor; else unknown, with the reason."""
         floor = self.rig.floor
@@ -389,6 +431,7 @@ class Pipeline:
         reason = np.zeros(floor.shape, np.uint8)
         reason[occupied | ~bare] = DISAGREE
         reason[~bare & (count < self._needed) | lost] = ONE_VIEW
+        reason[candidates] = UNCONFIRMED
         reason[count == 0] = BLIND
         reason[labels > 0] = 0
         return occupancy_map(labels > 0, reason == 0, floor), reason
@@ -469,6 +512,58 @@ def footprints(things: Sequence[Cylinder], occupied: Mask, floor: Floor) -> npt.
         nearest[iy[mine], ix[mine]] = rim[mine]
         labels[iy[mine], ix[mine]] = number
     return labels
+
+
+def _confirmed_first(
+    labels: npt.NDArray[np.int32], objects: Sequence[ObjectVector]
+) -> tuple[npt.NDArray[np.int32], Mask]:
+    """Labels of the confirmed objects alone, renumbered, and the cells of the others."""
+    real = np.array([False] + [thing.id > 0 for thing in objects])
+    if real[1:].all():
+        return labels, np.zeros(labels.shape, bool)
+    return np.where(real, np.cumsum(real), 0).astype(np.int32)[labels], (labels > 0) & ~real[labels]
+
+
+def _template(label: str, picture: Any) -> tuple[Image, Mask | None]:
+    """A template's colours and the pixels that count."""
+    picture = np.asarray(picture)
+    if picture.dtype != np.uint8 or picture.ndim != 3 or picture.shape[2] not in (3, 4) or min(picture.shape[:2]) < 4:
+        raise ValueError(
+            f"templates[{label!r}]: expected uint8 RGB or RGBA of 4 x 4 px or more, got {picture.dtype} {picture.shape}"
+        )
+    if picture.shape[2] == 3:
+        return picture, None
+    if not picture[..., 3].any():
+        raise ValueError(f"templates[{label!r}]: expected pixels that are not transparent, got none")
+    return np.ascontiguousarray(picture[..., :3]), picture[..., 3] > 127
+
+
+def _likeness(window: Image, picture: Image, mask: Mask | None, height: int) -> float:
+    """Least mean absolute difference of a template, resized to about ``height``, in a window; infinite if it does not fit."""
+    best = np.inf
+    for scale in height / len(picture) * np.array([0.8, 0.9, 1.0, 1.1, 1.25]):
+        size = tuple(round(float(scale * side)) for side in picture.shape[1::-1])
+        if 4 <= min(size) and size[0] <= window.shape[1] and size[1] <= window.shape[0]:
+            resized = cv2.resize(picture, size, interpolation=cv2.INTER_AREA)
+            used = None if mask is None else cv2.resize(mask.view(np.uint8), size).astype(bool)
+            if used is None or used.any():
+                best = min(best, float(similarity(window, resized, "sad", used).min()))
+    return best
+
+
+def _box(thing: Cylinder, rig: Rig, name: str) -> tuple[int, int, int, int]:
+    """Left, top, right and bottom of an object in a view, in whole px; it may reach beyond the picture."""
+    turn = np.linspace(0, 2 * np.pi, 24, endpoint=False)
+    ring = np.column_stack([thing.x + thing.radius * np.cos(turn), thing.y + thing.radius * np.sin(turn)])
+    points = rig[name].project(np.vstack([np.column_stack([ring, np.full(24, z)]) for z in (0.0, thing.height)]))
+    left, top = np.floor(points.min(axis=0)).astype(int).tolist()
+    right, bottom = np.ceil(points.max(axis=0)).astype(int).tolist()
+    return left, top, right, bottom
+
+
+def _visible(hidden: FloatArray, cameras: Iterable[str]) -> dict[str, float]:
+    pairs = zip(cameras, hidden, strict=True)
+    return {name: round(float(1 - fraction), 4) for name, fraction in pairs if np.isfinite(fraction)}
 
 
 def _hidden_in(hidden: FloatArray, cameras: Iterable[str], limit: float) -> tuple[str, ...]:

@@ -31,8 +31,8 @@ if TYPE_CHECKING:
 
 CAMERA_COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00", "#F0E442", "#000000")
 TRUTH_COLOUR = "#D55E00"
-REASON_COLOURS = {1: "#BFBFBF", 2: "#FBE3B5", 3: "#D9C9E8"}
-"""Why a cell is unknown, :data:`occlib.mapping.REASONS`: grey, pale orange, pale violet; in grey print from dark to light."""
+REASON_COLOURS = {1: "#BFBFBF", 2: "#FBE3B5", 3: "#D9C9E8", 4: "#CDE8D5"}
+"""Why a cell is unknown, :data:`occlib.mapping.REASONS`: grey, pale orange, pale violet, pale green; in grey print from dark to light."""
 
 
 def camera_colours(names: Sequence[str]) -> dict[str, str]:

@@ -104,6 +104,20 @@ def read_image(path: str | Path) -> Image:
     return cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
 
 
+def read_templates(folder: str | Path) -> dict[str, Image]:
+    """Pictures of known objects, ``LABEL.png``: ``{label: uint8 RGBA (H, W, 4)}``; what is transparent does not count."""
+    templates = {}
+    for path in sorted(Path(folder).glob("*.png")):
+        colours = read_image(path)
+        stored = cv2.imdecode(np.frombuffer(path.read_bytes(), np.uint8), cv2.IMREAD_UNCHANGED)
+        has_alpha = stored is not None and stored.ndim == 3 and stored.shape[2] == 4
+        alpha = stored[..., 3] if stored is not None and has_alpha else np.full(colours.shape[:2], 255)
+        templates[path.stem] = np.dstack([colours, alpha.astype(np.uint8)])
+    if not templates:
+        raise ValueError(f"{folder}: expected pictures named LABEL.png, found none")
+    return templates
+
+
 def _whole_png(data: bytes) -> bool:
     """Whether every chunk of a PNG is there and has its checksum."""
     at = 8

@@ -4,17 +4,21 @@
 color information of the object. These dynamic vectors are created and destroyed based on the appearance and
 disappearance of the objects." The paper does not say how a detection is joined to a vector, nor how V is
 measured. Here: constant-velocity prediction, Hungarian assignment inside a gate, and a Kalman filter (Kalman
-1960, doi:10.1115/1.3662552; piecewise white acceleration, Bar-Shalom et al. 2001, section 6.3).
+1960, doi:10.1115/1.3662552; piecewise white acceleration, Bar-Shalom et al. 2001, section 6.3). What appears is first a
+candidate, so that a ghost of a frame or two never becomes an object; what disappears coasts for a while.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any, TypeAlias
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, NamedTuple, TypeAlias
 
+import numpy as np
 from scipy.optimize import linear_sum_assignment
+
+from occlib.geometry import FloatArray
 
 Point: TypeAlias = tuple[float, float]
 Colour: TypeAlias = tuple[int, int, int]
@@ -40,6 +44,8 @@ class Observation:
         Name of the template that it matched, if any.
     hidden_in
         Names of the cameras in which something hides it.
+    visible
+        The share of it that each camera sees, 0 to 1, where that is known.
     """
 
     position_m: Point
@@ -47,6 +53,7 @@ class Observation:
     colour: Colour
     label: str | None = None
     hidden_in: tuple[str, ...] = ()
+    visible: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -56,9 +63,9 @@ class ObjectVector:
     Parameters
     ----------
     id
-        1, 2, ... in order of appearance; never used again.
+        1, 2, ... in order of confirmation; only an object with the same label gets it again. 0: a candidate, not confirmed.
     position_m
-        The centroid ``p`` (x, y) as measured at this instant, not filtered, in m.
+        The centroid ``p`` (x, y) as measured at this instant, not filtered, in m; predicted while it coasts.
     velocity_mps
         ``V`` (x, y) in m/s, filtered; (0, 0) at first sight.
     area_m2
@@ -70,7 +77,12 @@ class ObjectVector:
     hidden_in
         Names of the cameras in which something hides it now.
     age
-        Frames since it was born, 1 in its first.
+        Frames since it was first seen, 1 in the first.
+    visible
+        The share of it that each camera sees, 0 to 1, where that is known.
+    spread
+        Variance of the filtered position in m2, its covariance with the velocity in m2/s, and the velocity's variance in m2/s2; the
+        same for x and y.
     """
 
     id: int
@@ -81,6 +93,14 @@ class ObjectVector:
     label: str | None = None
     hidden_in: tuple[str, ...] = ()
     age: int = 1
+    visible: Mapping[str, float] = field(default_factory=dict)
+    spread: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    @property
+    def covariance(self) -> FloatArray:
+        """Covariance of the state (x, y, vx, vy), float64 (4, 4), in m and m/s."""
+        pp, pv, vv = self.spread
+        return np.kron(np.array([[pp, pv], [pv, vv]], np.float64), np.eye(2)).astype(np.float64)
 
     def to_dict(self) -> dict[str, Any]:
         """The object's entry in ``objects.jsonl``: m, m/s and m2, to 4 decimals.
@@ -101,13 +121,22 @@ class ObjectVector:
         }
 
 
+class Event(NamedTuple):
+    """One line of the tracker's log: when, which object, ``"born"`` or ``"gone"``, and why."""
+
+    time: float
+    id: int
+    what: str
+    reason: str
+
+
 class _Track:
     """Kalman state of one object. x and y share one covariance, so it is three plain floats."""
 
-    __slots__ = ("born", "colour", "id", "label", "pp", "pv", "time", "vv", "vx", "vy", "x", "y")
+    __slots__ = ("area", "born", "colour", "id", "label", "pp", "pv", "since", "time", "vv", "vx", "vy", "x", "y")
 
-    def __init__(self, identity: int, seen: Observation, time: float, frame: int, noise_m: float) -> None:
-        self.id, self.born = identity, frame
+    def __init__(self, seen: Observation, time: float, frame: int, noise_m: float) -> None:
+        self.id, self.born, self.since, self.area = 0, frame, time, seen.area_m2
         (self.x, self.y), self.vx, self.vy = seen.position_m, 0.0, 0.0
         self.pp, self.pv, self.vv = noise_m**2, 0.0, _BIRTH_SPEED**2
         self.time, self.colour, self.label = time, seen.colour, seen.label
@@ -117,18 +146,21 @@ class _Track:
         dt = time - self.time
         return self.x + self.vx * dt, self.y + self.vy * dt
 
+    def spread(self, time: float, acceleration: float) -> tuple[float, float, float]:
+        """Variances and covariance of position and velocity, predicted to ``time``."""
+        dt, q = time - self.time, acceleration**2
+        pp = self.pp + dt * (2 * self.pv + dt * self.vv) + q * dt**4 / 4
+        return pp, self.pv + dt * self.vv + q * dt**3 / 2, self.vv + q * dt**2
+
     def update(self, seen: Observation, time: float, noise_m: float, acceleration: float) -> None:
         """Predict to ``time`` and correct by the measured position."""
-        dt, q = time - self.time, acceleration**2
         (x, y), (zx, zy) = self.predict(time), seen.position_m
-        pp = self.pp + dt * (2 * self.pv + dt * self.vv) + q * dt**4 / 4
-        pv = self.pv + dt * self.vv + q * dt**3 / 2
-        vv = self.vv + q * dt**2
+        pp, pv, vv = self.spread(time, acceleration)
         gain_p, gain_v = pp / (pp + noise_m**2), pv / (pp + noise_m**2)
         self.x, self.y = x + gain_p * (zx - x), y + gain_p * (zy - y)
         self.vx, self.vy = self.vx + gain_v * (zx - x), self.vy + gain_v * (zy - y)
         self.pp, self.pv, self.vv = (1 - gain_p) * pp, (1 - gain_p) * pv, vv - gain_v * pv
-        self.time, self.colour, self.label = time, seen.colour, seen.label or self.label
+        self.time, self.colour, self.label, self.area = time, seen.colour, seen.label or self.label, seen.area_m2
 
 
 class Tracker:
@@ -146,14 +178,22 @@ class Tracker:
         then it coasts: it keeps its identity but is not reported.
     colour_weight_m
         Black against white counts as this many metres; decides between candidates at similar distance.
+    confirm_s
+        What is new beside other objects is a candidate, of id 0, until it has been seen for so long without a miss. Where the scene
+        is new, all is confirmed at once: in the first frame, after more than ``max_missed_s`` without any, or unless more than half
+        of the last frame's objects are seen again within ``jump_m`` of where they were expected.
+    jump_m
+        No object gets so far, in m, from where it is expected in the next frame; an unrelated picture does.
     position_noise_m, acceleration_mps2
         Standard deviations of a measured position and of an object's acceleration: a larger ratio gives a
         smoother, later velocity.
 
     Attributes
     ----------
-    events : list of (float, int, str)
-        Time in s, id, and "born" or "gone", in the order in which it happened.
+    events : list of Event
+        Births and deaths in the order in which they happened, each with its reason.
+    rejected : int
+        Candidates that were missed before they were confirmed: most of them ghosts.
 
     Examples
     --------
@@ -171,6 +211,8 @@ class Tracker:
         gate_m: float = 0.5,
         gate_growth_mps: float = 1.0,
         max_missed_s: float = 1.0,
+        confirm_s: float = 0.0,
+        jump_m: float = 0.25,
         colour_weight_m: float = 0.2,
         position_noise_m: float = 0.05,
         acceleration_mps2: float = 1.0,
@@ -180,14 +222,20 @@ class Tracker:
         self.gate_m, self.position_noise_m = gate_m, position_noise_m
         self.gate_growth_mps = _check("gate_growth_mps", gate_growth_mps)
         self.max_missed_s = _check("max_missed_s", max_missed_s)
+        self.confirm_s = _check("confirm_s", confirm_s)
+        self.jump_m = _check("jump_m", jump_m)
         self.colour_weight_m = _check("colour_weight_m", colour_weight_m)
         self.acceleration_mps2 = _check("acceleration_mps2", acceleration_mps2)
-        self.events: list[tuple[float, int, str]] = []
+        self.events: list[Event] = []
+        self.rejected = 0
         self._tracks: list[_Track] = []
+        self._gone: dict[str, int] = {}  # ids of labelled objects that are gone
         self._time = -math.inf
         self._frame = self._ids = 0
 
-    def update(self, observations: Sequence[Observation], time: float) -> list[ObjectVector]:
+    def update(
+        self, observations: Sequence[Observation], time: float, identify: Callable[[int], str | None] | None = None
+    ) -> list[ObjectVector]:
         """Take one frame's observations; return their object vectors, in the same order.
 
         Parameters
@@ -196,6 +244,9 @@ class Tracker:
             What the frame shows, in any order; may be empty.
         time
             Seconds, later than in the last call.
+        identify
+            The label of observation ``index``, if it is recognised; asked for those whose object has none. No two objects on the
+            floor get the same. What is recognised before it is confirmed gets the id again under which its label was last known.
 
         Raises
         ------
@@ -206,10 +257,30 @@ class Tracker:
         for index, seen in enumerate(observations):
             if not all(map(math.isfinite, (*seen.position_m, seen.area_m2))):
                 raise ValueError(f"observations[{index}]: expected finite position and area, got {seen}")
-        self._time, self._frame = time, self._frame + 1
         assigned = self._assign(observations, time)
+        anew = self._is_new_scene(observations, assigned, time)
+        self._time, self._frame = time, self._frame + 1
         self._retire(set(assigned.values()), time)
-        return [self._vector(seen, assigned.get(index), time) for index, seen in enumerate(observations)]
+        vectors = []
+        for index, seen in enumerate(observations):
+            track = assigned.get(index)
+            if track is None:
+                track = _Track(seen, time, self._frame, self.position_noise_m)
+                self._tracks.append(track)
+            else:
+                track.update(seen, time, self.position_noise_m, self.acceleration_mps2)
+            if track.label is None and identify is not None:
+                label = identify(index)
+                track.label = label if all(other.label != label for other in self._tracks) else None
+            if track.id == 0 and (anew or time - track.since >= self.confirm_s - 1e-9):
+                self._confirm(track, time, anew)
+            vectors.append(self._vector(track, time, seen))
+        return vectors
+
+    def coasting(self) -> list[ObjectVector]:
+        """The confirmed objects that the last call did not see, where they are expected, with a covariance that grows."""
+        unseen = [track for track in self._tracks if track.id and track.time < self._time]
+        return [self._vector(track, self._time) for track in unseen]
 
     def check_time(self, time: float) -> None:
         """Raise ``ValueError`` unless ``time`` is finite and later than in the last update."""
@@ -233,31 +304,52 @@ class Tracker:
         pairs = zip(rows.tolist(), columns.tolist(), strict=True)
         return {row: self._tracks[column] for row, column in pairs if costs[row][column] < _FORBIDDEN}
 
+    def _is_new_scene(self, observations: Sequence[Observation], assigned: Mapping[int, _Track], time: float) -> bool:
+        """Whether this frame has little to do with the last one, of the objects on which alone that can be judged."""
+        known = [track for track in self._tracks if track.id and track.time == self._time]
+        again = [
+            track
+            for index, track in assigned.items()
+            if track in known and math.dist(track.predict(time), observations[index].position_m) < self.jump_m
+        ]
+        return time - self._time > self.max_missed_s or 2 * len(again) <= len(known)
+
+    def _confirm(self, track: _Track, time: float, anew: bool) -> None:
+        """Give a candidate its id: the one that its label had before, or the next."""
+        known = self._gone.pop(track.label, None) if track.label else None
+        if known is None:
+            self._ids += 1
+        track.id = known or self._ids
+        reason = "in a new scene" if anew else f"seen for {time - track.since:.2g} s"
+        self.events.append(Event(time, track.id, "born", f"known as {track.label}" if known else reason))
+
     def _retire(self, seen: set[_Track], time: float) -> None:
-        """Drop the tracks that are unseen for too long."""
-        gone = [t for t in self._tracks if t not in seen and time - t.time > self.max_missed_s]
-        self.events += [(time, track.id, "gone") for track in gone]
+        """Drop the tracks that are unseen for too long, and candidates at once."""
+        gone = [t for t in self._tracks if t not in seen and (t.id == 0 or time - t.time > self.max_missed_s)]
+        for track in gone:
+            if track.id == 0:
+                self.rejected += 1
+                continue
+            self.events.append(Event(time, track.id, "gone", f"unseen for {time - track.time:.2g} s"))
+            if track.label:
+                self._gone[track.label] = track.id
         self._tracks = [track for track in self._tracks if track not in gone]
 
-    def _vector(self, seen: Observation, track: _Track | None, time: float) -> ObjectVector:
-        """The object vector of one observation, of a new object if it has no track."""
-        if track is None:
-            self._ids += 1
-            track = _Track(self._ids, seen, time, self._frame, self.position_noise_m)
-            self._tracks.append(track)
-            self.events.append((time, track.id, "born"))
-        else:
-            track.update(seen, time, self.position_noise_m, self.acceleration_mps2)
-        return ObjectVector(
+    def _vector(self, track: _Track, time: float, seen: Observation | None = None) -> ObjectVector:
+        """The object vector of a track, as seen or as predicted."""
+        vector = ObjectVector(
             id=track.id,
-            position_m=seen.position_m,
+            position_m=track.predict(time),
             velocity_mps=(track.vx, track.vy),
-            area_m2=seen.area_m2,
-            colour=seen.colour,
+            area_m2=track.area,
+            colour=track.colour,
             label=track.label,
-            hidden_in=seen.hidden_in,
             age=self._frame - track.born + 1,
+            spread=track.spread(time, self.acceleration_mps2),
         )
+        if seen is None:
+            return vector
+        return replace(vector, position_m=seen.position_m, hidden_in=seen.hidden_in, visible=seen.visible)
 
 
 def _check(name: str, value: float, *, positive: bool = False) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -19,7 +20,7 @@ from occlib.geometry import Camera, Floor, Rig
 from occlib.localization import find_regions
 from occlib.mapping import BLIND, DISAGREE, ONE_VIEW, load_map, save_map
 from occlib.occlusion import fuse
-from occlib.pipeline import HIDDEN, PROFILES, FrameResult, Pipeline, Settings, backgrounds_of, settings_for
+from occlib.pipeline import HIDDEN, PROFILES, FrameResult, Pipeline, Settings, _box, backgrounds_of, settings_for
 from occlib.recordings import LAB, open_recording
 from occlib.registration import FloorWarp
 
@@ -659,3 +660,35 @@ def test_cores_part_robots_whose_shadows_touch() -> None:
     }
     assert count == {0.0: 3, 1.5: 4}
     assert len(Pipeline(recording.rig, backgrounds).process(images, 5.2).objects) == 4  # no cores needed
+
+
+def test_templates_name_the_robots_and_bring_their_ids_back() -> None:
+    """Templates cut from the first frame; then the floor is empty for two seconds, and the robots stand elsewhere."""
+    recording = open_recording("four_robots", ["left", "right"])
+    backgrounds = backgrounds_of(recording)
+    truth = metrics.load_truth(recording.path / "truth.json")["frames"]
+    first = Pipeline(recording.rig, backgrounds)
+    (_, images), *later = recording.images([0, *range(60, 64)])
+    templates = {}
+    for thing, cylinder in zip(first.process(images, 0.0).objects, first._explainer.before, strict=True):
+        camera = max(thing.visible, key=lambda name: thing.visible[name])
+        left, top, right, bottom = _box(cylinder, recording.rig, camera)
+        nearest = min(truth["0"], key=lambda t: math.dist(thing.position_m, (t["x"], t["y"])))
+        templates[nearest["id"]] = images[camera][max(top, 0) : bottom + 1, max(left, 0) : right + 1]
+    assert len(templates) == 4
+    pipeline = Pipeline(recording.rig, backgrounds, templates=templates)
+    known = {thing.label: thing.id for thing in pipeline.process(images, 0.0).objects}
+    assert set(known) == set(templates)
+    empty = {name: background.image for name, background in backgrounds.items()}
+    for k in range(1, 21):
+        pipeline.process(empty, 0.1 * k)
+    for k, (frame, pictures) in enumerate(later):
+        objects = pipeline.process(pictures, 2.1 + 0.1 * k).objects
+        assert {thing.label: thing.id for thing in objects} == known
+        for thing in objects:
+            place = next((t["x"], t["y"]) for t in truth[str(frame)] if t["id"] == thing.label)
+            assert math.dist(thing.position_m, place) < 0.1
+    with pytest.raises(ValueError, match=r"templates\['x'\]: expected uint8 RGB or RGBA of 4 x 4 px"):
+        Pipeline(recording.rig, backgrounds, templates={"x": np.zeros((2, 9, 3), np.uint8)})
+    with pytest.raises(ValueError, match="templates: expected rule explain"):
+        Pipeline(recording.rig, backgrounds, settings_for("and"), templates)

@@ -32,6 +32,7 @@ from occlib.recordings import (
     open_recording,
     parse_frames,
     read_image,
+    read_templates,
     read_yaml,
     staged_folder,
     write_file,
@@ -705,3 +706,17 @@ def test_pictures_beside_a_video_are_counted_from_its_first_frame(tiny_recording
         path.rename(path.with_stem(f"{int(path.stem) + 1:04d}"))
     use_videos(tiny_recording, {"left": len(pictures)}, ".avi")
     assert recordings.open_recording(tiny_recording).frames == tuple(range(len(pictures)))
+
+
+def test_templates_are_read_with_what_counts_of_them(tmp_path: Path) -> None:
+    colours = np.arange(48, dtype=np.uint8).reshape(4, 4, 3)
+    alpha = np.full((4, 4, 1), 255, np.uint8)
+    alpha[0] = 0
+    cv2.imwrite(str(tmp_path / "cut.png"), np.dstack([colours[..., ::-1], alpha]))
+    cv2.imwrite(str(tmp_path / "whole.png"), colours[..., ::-1])
+    templates = read_templates(tmp_path)
+    assert list(templates) == ["cut", "whole"]
+    assert np.array_equal(templates["cut"], np.dstack([colours, alpha]))
+    assert (templates["whole"][..., 3] == 255).all()
+    with pytest.raises(ValueError, match=r"nowhere: expected pictures named LABEL.png, found none"):
+        read_templates(tmp_path / "nowhere")

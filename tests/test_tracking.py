@@ -34,7 +34,7 @@ def test_identity_and_velocity_of_a_planted_straight_path() -> None:
         assert (vector.id, vector.age) == (1, k + 1)
         assert vector.position_m == (0.08 * k, -0.03 * k)  # the measurement: no lag
     assert vector.velocity_mps == pytest.approx((0.8, -0.3), abs=0.01)
-    assert tracker.events == [(0.0, 1, "born")]
+    assert tracker.events == [(0.0, 1, "born", "in a new scene")]
 
 
 def test_velocity_is_zero_at_first_sight_and_less_noisy_than_differences() -> None:
@@ -131,7 +131,11 @@ def test_ids_are_never_used_again() -> None:
     tracker.update([], 0.2)
     tracker.update([], 0.4)
     assert ids(tracker.update([at(0.0)], 0.6)) == [2]
-    assert tracker.events == [(0.0, 1, "born"), (0.4, 1, "gone"), (0.6, 2, "born")]
+    assert tracker.events == [
+        (0.0, 1, "born", "in a new scene"),
+        (0.4, 1, "gone", "unseen for 0.4 s"),
+        (0.6, 2, "born", "in a new scene"),
+    ]
 
 
 def test_slow_recordings_still_get_one_chance() -> None:
@@ -146,6 +150,83 @@ def test_vectors_come_in_the_order_of_the_observations_and_keep_what_was_seen() 
     assert (second.id, first.id) == (2, 1)
     assert (first.label, first.hidden_in, first.colour) == ("robot", ("cam2",), RED)
     assert (second.label, second.hidden_in, second.area_m2) == (None, (), 0.04)
+
+
+def test_what_is_new_is_a_candidate_until_it_was_seen_for_long_enough() -> None:
+    tracker = Tracker(confirm_s=0.2)
+    for k in range(5):  # 1 is in a new scene; another comes at 0.2 s
+        vectors = tracker.update([at(0.0), at(2.0)][: 1 if k < 2 else 2], 0.1 * k)
+        assert ids(vectors) == [1] + [0] * (1 < k < 4) + [2] * (k == 4)
+    assert vectors[1].age == 3
+    assert tracker.events[1] == (0.4, 2, "born", "seen for 0.2 s")
+
+
+def test_a_ghost_dies_young_and_uses_up_no_id() -> None:
+    tracker = Tracker(confirm_s=0.2)
+    for k, seen in enumerate(([0.0], [0.0, 2.0], [0.0, 2.0], [0.0], [0.0, 2.0], [0.0, 2.0], [0.0, 2.0])):
+        vectors = tracker.update([at(x) for x in seen], 0.1 * k)
+        assert ids(vectors) == ([1] + [0] * (len(seen) - 1) if k < 6 else [1, 2])
+    assert tracker.rejected == 1 and [e.what for e in tracker.events] == ["born", "born"]
+
+
+def test_after_a_gap_all_is_confirmed_at_once() -> None:
+    tracker = Tracker(confirm_s=0.2, max_missed_s=1.0)
+    tracker.update([at(0.0)], 0.0)
+    assert ids(tracker.update([at(3.0)], 4.0)) == [2]
+    assert ids(tracker.update([at(0.0), at(3.0)], 5.0)) == [0, 2]  # 1 s is no gap
+
+
+def test_unrelated_pictures_are_confirmed_one_by_one() -> None:
+    rng, tracker = np.random.default_rng(5), Tracker(confirm_s=0.2)
+    frames = [rng.uniform(-2, 2, (8, 2)) for _ in range(50)]
+    shown = [sum(v.id > 0 for v in tracker.update([at(*p) for p in f], 0.1 * k)) for k, f in enumerate(frames)]
+    assert min(shown) == 8  # though four of five find a track within the gate
+
+
+def test_a_coasting_object_is_expected_on_its_way_ever_less_surely() -> None:
+    tracker = Tracker(confirm_s=0.2)
+    for k in range(20):
+        (vector,) = tracker.update([at(0.05 * k)], 0.1 * k)
+        assert tracker.coasting() == []
+    spreads = [np.sqrt(vector.covariance[0, 0])]
+    for k in range(20, 25):
+        assert tracker.update([], 0.1 * k) == []
+        (unseen,) = tracker.coasting()
+        assert unseen.id == 1 and unseen.position_m == pytest.approx((0.05 * k, 0), abs=0.02)
+        spreads.append(np.sqrt(unseen.covariance[0, 0]))
+    assert (np.diff(spreads) > 0).all() and spreads[0] < 0.05 < spreads[-1]
+    assert vector.covariance.shape == (4, 4) and (np.linalg.eigvalsh(vector.covariance) > 0).all()
+    assert vector.covariance[0, 2] == vector.covariance[1, 3] > 0 == vector.covariance[0, 1]
+    tracker.update([at(2.0)], 2.5)
+    tracker.update([at(2.0), at(5.0)], 2.6)
+    tracker.update([], 2.7)
+    assert len(tracker.coasting()) == 1  # a candidate does not coast
+
+
+def test_the_covariance_is_that_of_the_errors() -> None:
+    rng = np.random.default_rng(4)
+    errors = []
+    for _ in range(300):
+        tracker, x, v = Tracker(position_noise_m=0.05, acceleration_mps2=1.0), 0.0, rng.normal()
+        for k in range(20):
+            push = rng.normal()
+            x, v = x + 0.1 * v + 0.005 * push, v + 0.1 * push
+            vector = tracker.update([at(x + rng.normal(0, 0.05))], 0.1 * k)[0]
+        errors.append((vector.velocity_mps[0] - v) / np.sqrt(vector.covariance[2, 2]))
+    assert np.std(errors) == pytest.approx(1, abs=0.1)
+
+
+def test_a_label_brings_its_id_back() -> None:
+    tracker = Tracker(confirm_s=0.1, max_missed_s=0.3)
+    first, second = tracker.update([at(0.0), at(3.0)], 0.0, lambda index: "red")
+    assert (first.label, second.label) == ("red", None)  # one object, one label
+    for k in range(1, 6):
+        tracker.update([at(3.0)], 0.1 * k)
+    assert tracker.events[-1][1:3] == (1, "gone")
+    (new, _) = tracker.update([at(1.5), at(3.0)], 0.6, {0: "red"}.get)
+    assert (new.id, new.label) == (0, "red")
+    back, _ = tracker.update([at(1.5), at(3.0)], 0.7)
+    assert (back.id, back.label) == (1, "red") and tracker.events[-1].reason == "known as red"
 
 
 @settings(max_examples=50, deadline=None)
