@@ -11,10 +11,11 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
+from PIL import Image
 
 from occlib import mapping, recordings
 from occlib.geometry import Floor
-from occlib.mapping import OccupancyMap, load_map, occupancy_map, save_map
+from occlib.mapping import MODES, OccupancyMap, inflate, load_map, occupancy_map, save_map
 
 FLOOR = Floor((-1.0, 0.5), (2.0, 3.0), 0.25)  # 4 x 6 cells
 
@@ -66,6 +67,121 @@ def test_files_read_back_equal(tmp_path_factory: pytest.TempPathFactory, data: A
     path = save_map(tmp_path_factory.mktemp("map") / "map", grid)
     assert load_map(path) == grid
     assert np.array_equal(read_as_map_server(path), data)
+
+
+def read_as_nav2(path: Path) -> np.ndarray[Any, Any]:
+    """``loadMapFromFile`` of nav2_map_server, cell by cell, on the pixels as Pillow decodes them."""
+    fields = yaml.safe_load(path.read_text())
+    image = Image.open(path.parent / fields["image"])
+    high, low = fields["occupied_thresh"], fields["free_thresh"]
+    data = np.empty(image.size[::-1], int)
+    for y in range(image.height):
+        for x in range(image.width):
+            *colours, alpha = image.convert("RGBA").getpixel((x, y))  # type: ignore[misc]
+            shade = sum(colours) / 3 / 255
+            if fields["mode"] == "trinary" and image.mode.endswith("A"):
+                shade = (sum(colours) + alpha) / 4 / 255
+            occupied = shade if fields["negate"] else 1 - shade
+            if fields["mode"] == "raw":
+                cell = round(shade * 255) if round(shade * 255) <= 100 else -1
+            elif fields["mode"] == "scale" and alpha != 255:
+                cell = -1
+            elif occupied > high:
+                cell = 100
+            elif occupied < low:
+                cell = 0
+            else:
+                cell = -1 if fields["mode"] == "trinary" else round((occupied - low) / (high - low) * 100)
+            data[image.height - y - 1, x] = cell
+    return data
+
+
+VALUES = np.arange(-1, 101, dtype=np.int8).reshape(6, 17)
+VALUES_FLOOR = Floor((-1.7, 0.0), (0.3, 0.9), 0.1)
+
+
+@pytest.mark.parametrize("mode", ["scale", "raw"])
+def test_every_value_reads_back_and_nav2_reads_the_same(tmp_path: Path, mode: str) -> None:
+    path = save_map(tmp_path / "map", OccupancyMap(VALUES, VALUES_FLOOR), mode=mode)
+    assert load_map(path) == OccupancyMap(VALUES, VALUES_FLOOR)
+    assert np.array_equal(read_as_nav2(path), VALUES)
+    fields = yaml.safe_load(path.read_text())
+    assert (fields["mode"], fields["image"]) == (mode, "map.png" if mode == "scale" else "map.pgm")
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    data=hnp.arrays(np.int8, (4, 6), elements=st.integers(-1, 100)),
+    mode=st.sampled_from(MODES),
+    suffix=st.sampled_from(["", ".png", ".pgm", ".yaml"]),
+)
+def test_maps_read_back_in_every_mode(
+    tmp_path_factory: pytest.TempPathFactory, data: Any, mode: str, suffix: str
+) -> None:
+    if mode == "trinary":
+        data = np.select([data < 34, data < 67], [-1, 0], 100).astype(np.int8)
+    if mode == "scale" and suffix == ".pgm":
+        data = np.abs(data)
+    before = data.copy()
+    path = save_map(tmp_path_factory.mktemp("map") / f"map{suffix}", OccupancyMap(data, FLOOR), mode=mode)
+    assert load_map(path) == OccupancyMap(before, FLOOR)
+    assert np.array_equal(read_as_nav2(path), before)
+
+
+def test_ros1_reads_scale_at_most_two_lower_and_raw_alike(tmp_path: Path) -> None:
+    """The arithmetic of ``image_loader.cpp``: ``99 * ratio`` truncated, alpha looked at between the thresholds only."""
+    path = save_map(tmp_path / "map", OccupancyMap(VALUES, VALUES_FLOOR), mode="scale")
+    grey, alpha = np.moveaxis(np.array(Image.open(tmp_path / "map.png"))[::-1, :, 2:].astype(float), 2, 0)
+    fields, p = yaml.safe_load(path.read_text()), (255 - grey) / 255
+    ratio = (p - fields["free_thresh"]) / (fields["occupied_thresh"] - fields["free_thresh"])
+    between = np.where(alpha < 1, -1, np.trunc(99 * ratio))
+    read = np.select([p > fields["occupied_thresh"], p < fields["free_thresh"]], [100, 0], between)
+    assert np.array_equal(read == -1, VALUES == -1)
+    assert (VALUES - read).min() == 0 and (VALUES - read).max() <= 2
+    save_map(tmp_path / "raw", OccupancyMap(VALUES, VALUES_FLOOR), mode="raw")
+    pixels = np.array(Image.open(tmp_path / "raw.pgm"))[::-1]
+    assert np.array_equal(pixels.view(np.int8), VALUES)  # unsigned char to int8
+
+
+def test_pictures_with_alpha_made_elsewhere(tmp_path: Path) -> None:
+    path = save_map(tmp_path / "map.png", asymmetric(), mode="trinary")
+    rgba = np.zeros((4, 6, 4), np.uint8)
+    rgba[0] = (254, 254, 254, 255)
+    rgba[1] = (205, 205, 205, 255)
+    rgba[2] = (0, 0, 0, 255)  # (255 - 63.75) / 255 = 0.75: still occupied
+    rgba[3] = (254, 254, 254, 0)  # (255 - 190.5) / 255 = 0.25: unknown
+    Image.fromarray(rgba).save(tmp_path / "map.png")
+    assert load_map(path).data[:, 0].tolist() == [-1, 100, 0, 0] == read_as_nav2(path)[:, 0].tolist()
+    text = path.read_text()
+    path.write_text(text.replace("trinary", "raw"))
+    assert load_map(path).data[:, 0].tolist() == [-1, 0, -1, -1] == read_as_nav2(path)[:, 0].tolist()
+    path.write_text(text.replace("trinary", "scale").replace("negate: 0", "negate: 1"))
+    assert load_map(path).data[:, 0].tolist() == [-1, 0, 100, 100] == read_as_nav2(path)[:, 0].tolist()
+
+
+@settings(max_examples=60, deadline=None)
+@given(data=hnp.arrays(np.int8, (5, 7), elements=st.sampled_from([-1, 0, 40, 100])), radius=st.floats(0, 1.2))
+def test_inflation_agrees_with_every_pair_of_cells(data: Any, radius: float) -> None:
+    floor = Floor((0.0, 0.7), (1.0, 1.5), 0.1)
+    before, expected = data.copy(), data.copy()
+    for iy, ix in np.ndindex(data.shape):
+        for jy, jx in np.argwhere(data == 100):
+            if data[iy, ix] != -1 and (iy - jy) ** 2 + (ix - jx) ** 2 < (radius / 0.1) ** 2 - 1e-5:
+                expected[iy, ix] = 100
+    inflated = inflate(OccupancyMap(data, floor), radius)
+    assert np.array_equal(inflated.data, expected) and inflated.floor == floor
+    assert np.array_equal(data, before)
+
+
+def test_inflation_is_open_and_needs_a_radius() -> None:
+    grid = asymmetric()
+    assert inflate(grid, 0.25) == grid  # the next centre is not closer than that
+    assert (
+        inflate(grid, 0.26).data == 100
+    ).sum() == 2 + 2 + 4 - 1  # a corner's two and an inner cell's four neighbours
+    for radius in (-0.1, np.nan, np.inf):
+        with pytest.raises(ValueError, match="radius_m: expected metres >= 0"):
+            inflate(grid, radius)
 
 
 def test_the_first_row_of_the_picture_is_the_largest_y(tmp_path: Path) -> None:
@@ -129,7 +245,7 @@ def test_maps_compare_by_value() -> None:
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("trinary", "scale", "mode: expected 'trinary', got 'scale'"),
+        ("trinary", "scaled", "mode: expected one of trinary, scale, raw, got 'scaled'"),
         ("negate: 0", "negate: 2", "negate: expected 0 or 1, got 2"),
         ("resolution: 0.25", "resolution: fine", "resolution: expected a finite number, got 'fine'"),
         ("resolution: 0.25", "resolution: -0.25", "floor.x: expected"),
@@ -160,8 +276,16 @@ def test_wrong_arrays_are_named() -> None:
 
 
 def test_other_values_are_not_saved(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="data: expected only -1, 0 and 100, got 50"):
-        save_map(tmp_path / "map", OccupancyMap(np.full(FLOOR.shape, 50, np.int8), FLOOR))
+    half = OccupancyMap(np.full(FLOOR.shape, 50, np.int8), FLOOR)
+    with pytest.raises(ValueError, match="data: expected only -1, 0 and 100, got 50; modes scale and raw hold it"):
+        save_map(tmp_path / "map", half)
+    with pytest.raises(ValueError, match="mode: expected one of trinary, scale, raw, got 'grey'"):
+        save_map(tmp_path / "map", half, mode="grey")
+    with pytest.raises(ValueError, match="data: a PGM cannot hold unknown cells in mode scale"):
+        save_map(tmp_path / "map.pgm", asymmetric(), mode="scale")
+    for value in (-2, 101):
+        with pytest.raises(ValueError, match=f"data: expected -1 to 100, got {value} to {value}"):
+            OccupancyMap(np.full(FLOOR.shape, value, np.int8), FLOOR)
     assert not list(tmp_path.iterdir())
 
 
