@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,11 +12,15 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from PIL import Image
+from scipy import ndimage
 
 from occlib import mapping, recordings
-from occlib.geometry import Floor
+from occlib.geometry import Floor, Rig
 from occlib.mapping import MODES, OccupancyMap, inflate, load_map, occupancy_map, save_map
+from occlib.pipeline import Pipeline, settings_for
+from occlib.plotting import new_figure, show_map
 
 FLOOR = Floor((-1.0, 0.5), (2.0, 3.0), 0.25)  # 4 x 6 cells
 
@@ -176,9 +181,7 @@ def test_inflation_agrees_with_every_pair_of_cells(data: Any, radius: float) -> 
 def test_inflation_is_open_and_needs_a_radius() -> None:
     grid = asymmetric()
     assert inflate(grid, 0.25) == grid  # the next centre is not closer than that
-    assert (
-        inflate(grid, 0.26).data == 100
-    ).sum() == 2 + 2 + 4 - 1  # a corner's two and an inner cell's four neighbours
+    assert (inflate(grid, 0.26).data == 100).sum() == 3 + 5  # the corner with two neighbours, the other with four
     for radius in (-0.1, np.nan, np.inf):
         with pytest.raises(ValueError, match="radius_m: expected metres >= 0"):
             inflate(grid, radius)
@@ -303,3 +306,74 @@ def test_a_failed_write_is_a_one_line_error_and_leaves_no_description(
     with pytest.raises(ValueError, match=r"map.pgm: cannot write \(No space left"):  # the picture comes first
         save_map(tmp_path / "map", asymmetric())
     assert not (tmp_path / "map.yaml").exists()
+
+
+# --- the right way round ---------------------------------------------------------------------------------
+L_PLACES = {(200, 30, 30): (0.8, 0.7), (30, 140, 30): (0.8, 2.3), (30, 30, 200): (3.1, 0.7)}
+"""An L: the corner at small x and y, the long leg along x, the short one along y. Colours tell the boxes apart."""
+
+
+def turn(points: Sequence[Sequence[float]]) -> float:
+    """Twice the signed area of a triangle: its sign changes when a picture is mirrored, not when it is turned."""
+    (ax, ay), (bx, by), (cx, cy) = points
+    return (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
+
+
+@pytest.fixture
+def l_scene(tiny_rig: Rig, draw: Any, box: Any) -> tuple[OccupancyMap, dict[str, np.ndarray[Any, Any]]]:
+    """The map that the whole chain makes of the L, and the pictures that it was made from."""
+    boxes = [box("", *place, side=0.35, height=0.05, colour=colour) for colour, place in L_PLACES.items()]
+    images = draw(boxes)
+    settings = settings_for(rule="and", threshold="half-otsu")
+    return Pipeline(tiny_rig, draw([]), settings).process(images, 0.0).map, images
+
+
+def dark_blobs(picture: np.ndarray[Any, Any]) -> list[tuple[float, float]]:
+    """Centres (column, row) of the black areas of a picture, from left to right."""
+    labels, count = ndimage.label(picture == 0)
+    assert count == 3
+    return sorted((x, y) for y, x in ndimage.center_of_mass(labels > 0, labels, range(1, 4)))
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_the_saved_picture_shows_the_scene_the_right_way_up(l_scene: Any, tmp_path: Path, mode: str) -> None:
+    grid, images = l_scene
+    path = save_map(tmp_path / "map", grid, mode=mode)
+    picture = np.array(Image.open(path.parent / yaml.safe_load(path.read_text())["image"]).convert("L"))
+    black = picture if mode != "raw" else 100 - picture  # raw pictures are dark where free
+    seen = dark_blobs(black)
+    expected = sorted((x / 0.05 - 0.5, (3.0 - y) / 0.05 - 0.5) for x, y in L_PLACES.values())  # row 0 at y = 3 m
+    corner, leg = sorted(seen[:2], key=lambda place: -place[1])  # the lower in the picture is the corner
+    np.testing.assert_allclose([*sorted([corner, leg]), seen[2]], expected, atol=1.5)
+    # Each camera looks down on the floor, so its picture is turned and foreshortened against the map, never mirrored.
+    for image in images.values():
+        places = [np.argwhere((image == colour).all(axis=2)).mean(axis=0)[::-1] for colour in L_PLACES]
+        assert turn(places) * turn([corner, leg, seen[2]]) > 0
+
+
+def test_left_and_right_of_the_cameras_are_those_of_the_map(tiny_rig: Rig, l_scene: Any) -> None:
+    """The left camera looks along +x: what is further along y is further to its left. The right camera looks back."""
+    _, images = l_scene
+    columns = {}
+    for name, image in images.items():
+        columns[name] = [np.argwhere((image == colour).all(axis=2))[:, 1].mean() for colour in L_PLACES]
+        projected = tiny_rig[name].project([(*place, 0.05) for place in L_PLACES.values()])[:, 0]
+        np.testing.assert_allclose(columns[name], projected, atol=2.5)
+    (corner, up, _), (corner_back, up_back, _) = columns["left"], columns["right"]
+    assert up < corner and up_back > corner_back
+
+
+def test_the_drawn_map_has_y_up_and_x_to_the_right(l_scene: Any) -> None:
+    grid, _ = l_scene
+    figure, ax = new_figure()
+    show_map(ax, grid)
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    pixels = np.asarray(canvas.buffer_rgba())[..., 0]
+    origin, right, up = ax.transData.transform([(0, 0), (1, 0), (0, 1)])
+    assert right[0] > origin[0] and up[1] > origin[1]  # Matplotlib's own pixels count from the bottom
+    for x, y in L_PLACES.values():
+        column, row = ax.transData.transform((x, y)).round().astype(int)
+        assert pixels[pixels.shape[0] - 1 - row, column] < 60
+    column, row = ax.transData.transform((3.1, 2.3)).round().astype(int)
+    assert pixels[pixels.shape[0] - 1 - row, column] > 200  # the empty corner
