@@ -232,7 +232,7 @@ def plan_timed(
     for step in range(steps, 0, -1):
         nodes.append(int(parent[step, nodes[-1]]))
     nodes.reverse()
-    while len(nodes) > 1 and nodes[-1] == nodes[-2]:
+    while len(nodes) > 1 and (xy[nodes[-1]] == xy[nodes[-2]]).all():
         nodes.pop()
     return [(start_time_s + k * dt_s, float(xy[n, 0]), float(xy[n, 1])) for k, n in enumerate(nodes)]
 
