@@ -330,7 +330,8 @@ class Navigator:
     speed_mps
         At most.
     margin_m
-        Kept free around the disc, to obstacles but not to other robots. Half a cell's diagonal comes on top.
+        Planned to be free around the disc, so that a robot that is a little off its trajectory need not stop. To obstacles
+        half a cell's diagonal comes on top.
     smear_m
         So much further than their discs the robots themselves may show on the map: there it is taken to be free.
     unknown_free
@@ -391,7 +392,7 @@ class Navigator:
         self._options = {
             "speed_mps": speed_mps,
             "dt_s": (5**0.5 + 1e-6) * cell_m / speed_mps if dt_s is None else dt_s,
-            "radius_m": radius_m,
+            "radius_m": radius_m + margin_m,
             "horizon_s": horizon_s,
             "cell_m": cell_m,
         }
