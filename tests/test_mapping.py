@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 import yaml
@@ -162,6 +163,26 @@ def test_pictures_with_alpha_made_elsewhere(tmp_path: Path) -> None:
     assert load_map(path).data[:, 0].tolist() == [-1, 0, -1, -1] == read_as_nav2(path)[:, 0].tolist()
     path.write_text(text.replace("trinary", "scale").replace("negate: 0", "negate: 1"))
     assert load_map(path).data[:, 0].tolist() == [-1, 0, 100, 100] == read_as_nav2(path)[:, 0].tolist()
+
+
+def test_raw_greys_above_100_are_unknown_and_negate_does_not_matter(tmp_path: Path) -> None:
+    path = save_map(tmp_path / "map", asymmetric(), mode="raw")
+    (tmp_path / "map.pgm").write_bytes(b"P5\n6 1\n255\n" + bytes([0, 99, 100, 101, 180, 255]))
+    for text in (path.read_text(), path.read_text().replace("negate: 0", "negate: 1")):
+        path.write_text(text)
+        assert load_map(path).data.tolist() == [[0, 99, 100, -1, -1, -1]] == read_as_nav2(path).tolist()
+
+
+def test_alpha_of_16_bit_pictures(tmp_path: Path) -> None:
+    rgba = np.full((1, 3, 4), 0xFEFE, np.uint16)
+    rgba[0, :, 3] = 0xFFFF, 0x80FF, 0
+    assert cv2.imwrite(str(tmp_path / "map.png"), rgba)
+    assert recordings.read_image(tmp_path / "map.png", alpha=True)[0].tolist() == [
+        [254] * 3 + [a] for a in (255, 128, 0)
+    ]
+    assert recordings.read_image(tmp_path / "map.png").shape == (1, 3, 3)
+    recordings.write_image(tmp_path / "grey.png", np.zeros((1, 3), np.uint8))
+    assert recordings.read_image(tmp_path / "grey.png", alpha=True).shape == (1, 3, 3)
 
 
 @settings(max_examples=60, deadline=None)

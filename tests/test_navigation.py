@@ -123,13 +123,12 @@ def test_a_robot_too_near_to_an_obstacle_may_leave() -> None:
         plan(blocked, ROOM, (1.5, 0.0), inside)
 
 
-def lines_free(path: Array, blocked: Array, floor: Floor) -> bool:
-    """Every tenth of a cell along the path is free."""
-    for a, b in itertools.pairwise(path):
-        for s in np.linspace(0.0, 1.0, 1 + math.ceil(10 * math.dist(a, b) / floor.resolution)):
-            ix, iy = np.floor((a + s * (b - a) - (floor.x[0], floor.y[0])) / floor.resolution).astype(int)
-            if blocked[iy, ix]:
-                return False
+def line_free(a: Array, b: Array, blocked: Array, floor: Floor, per_cell: int) -> bool:
+    """Whether the straight line is free where it is looked at, so many times a cell."""
+    for s in np.linspace(0.0, 1.0, 1 + math.ceil(per_cell * math.dist(a, b) / floor.resolution)):
+        ix, iy = np.floor((a + s * (b - a) - (floor.x[0], floor.y[0])) / floor.resolution + 1e-9).astype(int)
+        if blocked[iy, ix]:
+            return False
     return True
 
 
@@ -149,7 +148,10 @@ def test_shortened_paths_are_shorter_and_free(seed: int) -> None:
     assert path is not None
     short = shorten(path, grown, floor)
     assert path_length_m(short) <= path_length_m(path) + 1e-9 and len(short) <= len(path)
-    assert np.array_equal(short[[0, -1]], path[[0, -1]]) and lines_free(short, walls, floor)
+    assert np.array_equal(short[[0, -1]], path[[0, -1]])
+    for a, b in itertools.pairwise(short):
+        assert line_free(a, b, walls, floor, 10)
+        assert np.abs(b - a).max() < 0.11 or line_free(a, b, grown, floor, 2)  # a step of the path, or in sight
 
 
 def test_shortening_an_octile_path_makes_it_straight() -> None:
@@ -338,6 +340,13 @@ def test_who_is_in_the_way_steps_aside_and_comes_back() -> None:
     assert others.clear(made, 0.2)
 
 
+def test_visits_between_two_steps_are_seen() -> None:
+    others = Reservations()
+    others.reserve("B", [(0.0, 0.0, 1.2), (3.0, 0.0, 1.2), (3.25, 0.0, 0.0), (3.5, 0.0, 1.2)], 0.2)
+    made = alone(EMPTY, (0.1, 0.0), (0.1, 0.0), others)
+    assert made is not None and len(made) > 1 and others.clear(made, 0.2)
+
+
 def test_none_if_there_is_no_escape() -> None:
     cell = np.ones(ROOM.shape, bool)
     cell[29:31, 39:41] = False
@@ -457,6 +466,19 @@ def test_other_robots_on_the_map_are_no_obstacles_but_reservations() -> None:
     assert others.clear(made, 0.2)
     alone_on_it = robot((1.5, 0.0)).update(data, ROOM, (-1.5, 0.0), Reservations(), 0.0)
     assert alone_on_it[-1][1] < -0.2  # nobody announced it: an obstacle
+
+
+def test_it_makes_way_for_the_higher_where_the_lower_does_not_stand() -> None:
+    walls = EMPTY.copy()
+    walls[:22] = True  # there is room on one side only
+    wanted = [(0.0, -1.5, 0.0), (10.0, 1.5, 0.0)]
+    others = Reservations()
+    others.reserve("higher", wanted[:1], 0.2, intention=wanted)
+    others.reserve("lower", [(0.0, 0.0, 0.8)], 0.2)
+    navigator = robot((0.0, 0.0), horizon_s=15.0)
+    made = navigator.update(picture(walls, [(-1.5, 0.0), (0.0, 0.0), (0.0, 0.8)]), ROOM, (0.0, 0.0), others, 0.0)
+    assert not others.clear(navigator.intention, 0.2)  # were the lower not there
+    assert others.clear(made, 0.2) and distance_kept(made, wanted, 0.0, 15.0) >= 0.4 - 1e-5
 
 
 def test_the_same_inputs_give_the_same_trajectory() -> None:

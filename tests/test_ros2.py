@@ -16,7 +16,7 @@ import pytest
 from occlib.bags import TYPE, grid_message
 from occlib.geometry import Floor
 from occlib.mapping import OccupancyMap
-from occlib.ros2 import TOPIC, MapTopic, message_types
+from occlib.ros2 import TOPIC, MapTopic, latched, message_types
 
 pytest.importorskip("cyclonedds.core", reason="cyclonedds is not installed: pip install 'occlib[ros2]'")
 
@@ -95,6 +95,14 @@ def test_the_types_have_the_names_of_ros() -> None:
     assert names[TYPE] == "nav_msgs::msg::dds_::OccupancyGrid_"
     assert names == {kind: kind.replace("/msg/", "::msg::dds_::") + "_" for kind in names}
     assert TOPIC == "rt/map"
+
+
+def test_the_quality_of_service_is_that_of_map_server() -> None:
+    from cyclonedds.core import Policy
+
+    assert latched()[Policy.History] == Policy.History.KeepLast(1)
+    assert latched()[Policy.Durability] == Policy.Durability.TransientLocal
+    assert isinstance(latched()[Policy.Reliability], Policy.Reliability.Reliable)
 
 
 def test_wrong_domains_and_a_missing_extra_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
