@@ -165,10 +165,10 @@ def _replace(made: Path, target: Path, temporary: Path) -> None:
     os.replace(made, target)
 
 
-def check_format(format: str) -> None:
+def check_format(format: str, *, name: str = "format") -> None:
     """``ValueError`` unless such a bag can be written here: names the formats, or the extra to install."""
     if format not in FORMATS:
-        raise ValueError(f"format: expected one of {', '.join(FORMATS)}, got {format!r}")
+        raise ValueError(f"{name}: expected one of {', '.join(FORMATS)}, got {format!r}")
     try:
         import rosbags.typesys  # noqa: F401
     except ImportError:

@@ -142,7 +142,7 @@ def run(args: argparse.Namespace) -> int:
     if args.map_mode not in MODES:
         raise ValueError(f"--map-mode: expected one of {', '.join(MODES)}, got {args.map_mode!r}")
     if args.bag is not None:
-        bags.check_format(args.bag)
+        bags.check_format(args.bag, name="--bag")
     recording = open_recording(args.recording, args.cameras)
     frames = list(recording.frames) if args.frames is None else parse_frames(args.frames, recording.frames)
     settings = settings_for(args.profile, rule=args.rule, threshold=_threshold(args.threshold))

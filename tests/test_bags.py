@@ -277,7 +277,7 @@ def test_run_writes_every_frame_into_the_bag(tiny_recording: Path, tmp_path: Pat
 @pytest.mark.parametrize(
     ("option", "value", "message"),
     [
-        ("--bag", "rosbag", "format: expected one of mcap, ros2, ros1, got 'rosbag'"),
+        ("--bag", "rosbag", "--bag: expected one of mcap, ros2, ros1, got 'rosbag'"),
         ("--map-mode", "grey", "--map-mode: expected one of trinary, scale, raw, got 'grey'"),
     ],
 )

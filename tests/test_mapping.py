@@ -173,6 +173,13 @@ def test_raw_greys_above_100_are_unknown_and_negate_does_not_matter(tmp_path: Pa
         assert load_map(path).data.tolist() == [[0, 99, 100, -1, -1, -1]] == read_as_nav2(path).tolist()
 
 
+def test_pictures_of_map_saver_with_a_comment_are_read(tmp_path: Path) -> None:
+    path = save_map(tmp_path / "map", asymmetric())
+    header = b"P5\n# CREATOR: map_saver.cpp 0.250 m/pix\n3 1\n255\n"
+    (tmp_path / "map.pgm").write_bytes(header + bytes([0, 205, 254]))
+    assert load_map(path).data.tolist() == [[100, -1, 0]]
+
+
 def test_alpha_of_16_bit_pictures(tmp_path: Path) -> None:
     rgba = np.full((1, 3, 4), 0xFEFE, np.uint16)
     rgba[0, :, 3] = 0xFFFF, 0x80FF, 0

@@ -125,33 +125,33 @@ def test_a_robot_too_near_to_an_obstacle_may_leave() -> None:
 
 def line_free(a: Array, b: Array, blocked: Array, floor: Floor, per_cell: int) -> bool:
     """Whether the straight line is free where it is looked at, so many times a cell."""
-    for s in np.linspace(0.0, 1.0, 1 + math.ceil(per_cell * math.dist(a, b) / floor.resolution)):
-        ix, iy = np.floor((a + s * (b - a) - (floor.x[0], floor.y[0])) / floor.resolution + 1e-9).astype(int)
-        if blocked[iy, ix]:
-            return False
-    return True
+    (ax, ay), (bx, by) = ((point - (floor.x[0], floor.y[0])) / floor.resolution for point in (a, b))
+    steps = max(1, math.ceil(per_cell * math.hypot(bx - ax, by - ay)))
+    return not any(
+        blocked[math.floor(ay + (by - ay) * k / steps), math.floor(ax + (bx - ax) * k / steps)]
+        for k in range(steps + 1)
+    )
 
 
 @settings(max_examples=40, deadline=None)
 @given(st.integers(0, 2**32 - 1))
 def test_shortened_paths_are_shorter_and_free(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    floor = Floor((-1.0, 2.0), (0.0, 2.0), 0.1)
+    floor = Floor((-1.0, 2.0), (0.0, 2.0), 0.125)  # of which every cell has an exact centre
     walls = np.zeros(floor.shape, bool)
-    for y, x in rng.integers(0, (16, 26), (5, 2)):
+    for y, x in rng.integers(0, (12, 20), (5, 2)):
         walls[y : y + 4, x : x + 3] = True
-    grown = floor.near(walls, 0.11)  # lines are looked at every half a cell: they may cut a corner, not a cell
-    start, goal = (centre(floor, *cell) for cell in rng.integers(0, (20, 30), (2, 2)).tolist())
-    assume(not grown[tuple(np.floor((goal - np.array([-1.0, 0.0])) / 0.1).astype(int)[::-1])])
-    path = plan(grown, floor, start, goal)
-    assume(path is not None and not grown[tuple(np.floor((start - np.array([-1.0, 0.0])) / 0.1).astype(int)[::-1])])
-    assert path is not None
+    grown = floor.near(walls, 0.13)  # lines are looked at every half a cell: they may cut a corner, not a cell
+    start, goal = rng.choice(np.argwhere(~grown), 2).tolist()
+    path = plan(grown, floor, centre(floor, *start), centre(floor, *goal))
+    if path is None:
+        return
     short = shorten(path, grown, floor)
     assert path_length_m(short) <= path_length_m(path) + 1e-9 and len(short) <= len(path)
     assert np.array_equal(short[[0, -1]], path[[0, -1]])
     for a, b in itertools.pairwise(short):
         assert line_free(a, b, walls, floor, 10)
-        assert np.abs(b - a).max() < 0.11 or line_free(a, b, grown, floor, 2)  # a step of the path, or in sight
+        assert np.abs(b - a).max() < 0.13 or line_free(a, b, grown, floor, 2)  # a step of the path, or in sight
 
 
 def test_shortening_an_octile_path_makes_it_straight() -> None:
@@ -183,11 +183,11 @@ def test_clear_is_exact_between_the_points(seed: int) -> None:
     own, other = random_trajectory(rng, 4), random_trajectory(rng, 5)
     kept = distance_kept(own, other, own[0][0], 9.0)
     now = math.dist(own[0][1:], position_at(other, own[0][0]))
-    assume(kept > 0.03 and not 0 < now - kept < 0.01)
+    assume(kept > 0.03 and not 1e-9 < now - kept < 0.01)
     others = Reservations()
     others.reserve("B", other, kept / 2)
     assert others.clear(own, kept / 2 - 0.01)
-    assert others.clear(own, kept / 2 + 0.01) == (now == kept)  # who is too close already may stay as close
+    assert others.clear(own, kept / 2 + 0.01) == (now - kept < 1e-8)  # who is too close already may stay as close
 
 
 def test_reservations_are_replaced_released_and_sorted() -> None:
