@@ -357,7 +357,7 @@ class Navigator:
     Notes
     -----
     Two robots whose trajectories are clear of each other stay apart if each updates on the others' newest announcements
-    and drives as announced. A robot that stops at once, because an obstacle has come up, breaks its word; the others learn
+    and drives as announced; before its first update a robot announces that it stands. A robot that stops at once, because an obstacle has come up, breaks its word; the others learn
     it at their next update.
 
     Safety does not depend on the priorities, so these may change at any time. Rank robots that have :attr:`arrived` below
