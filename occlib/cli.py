@@ -45,6 +45,10 @@ def build_parser() -> argparse.ArgumentParser:
     p.add_argument(
         "--templates", metavar="FOLDER", help="pictures LABEL.png of known objects, which then get that label"
     )
+    p.add_argument(
+        "--map-mode", default="trinary", metavar="MODE", help="of map_server: trinary (default), scale or raw"
+    )
+    p.add_argument("--bag", metavar="FORMAT", help="every frame's map as a bag, DIR/map: mcap, ros2 or ros1")
 
     p = add("evaluate", "Score objects.jsonl against truth.json.", evaluate)
     p.add_argument("objects", metavar="OBJECTS.jsonl")
@@ -130,12 +134,18 @@ def reproduce(args: argparse.Namespace) -> int:
 def run(args: argparse.Namespace) -> int:
     from tqdm import tqdm
 
-    from occlib.mapping import save_map
+    from occlib import bags
+    from occlib.geometry import read_yaml
+    from occlib.mapping import MODES, save_map
     from occlib.metrics import load_truth
     from occlib.pipeline import Pipeline, backgrounds_of, settings_for
     from occlib.plotting import figure_png, overview
     from occlib.recordings import open_recording, parse_frames, read_templates, staged_folder, write_file
 
+    if args.map_mode not in MODES:
+        raise ValueError(f"--map-mode: expected one of {', '.join(MODES)}, got {args.map_mode!r}")
+    if args.bag is not None:
+        bags.check_format(args.bag, name="--bag")
     recording = open_recording(args.recording, args.cameras)
     frames = list(recording.frames) if args.frames is None else parse_frames(args.frames, recording.frames)
     settings = settings_for(args.profile, rule=args.rule, threshold=_threshold(args.threshold))
@@ -145,7 +155,7 @@ def run(args: argparse.Namespace) -> int:
         print(
             f"no background/ for {', '.join(recording.without_background)}: learned from the frames; what never moves is not found"
         )
-    lines, out, excluded = [], Path(args.out), dict[tuple[str, str], list[int]]()
+    lines, maps, out, excluded = [], [], Path(args.out), dict[tuple[str, str], list[int]]()
     with staged_folder(out) as stage:
         templates = None if args.templates is None else read_templates(args.templates)
         pipeline = Pipeline(recording.rig, backgrounds_of(recording, progress=True), settings, templates)
@@ -160,13 +170,17 @@ def run(args: argparse.Namespace) -> int:
             line: dict[str, Any] = {"frame": frame, "time": round(result.time, 6), "objects": objects}
             lines.append(json.dumps({**line, "excluded": result.excluded} if result.excluded else line))
             if args.maps:
-                save_map(stage / "maps" / f"{frame:06d}", result.map)
+                save_map(stage / "maps" / f"{frame:06d}", result.map, mode=args.map_mode)
+            if args.bag:
+                maps.append((result.time, result.map))
         title = f"{recording.path.name}, frame {frames[-1]}, rule {settings.rule}, profile {args.profile}"
         picture = figure_png(overview(recording.rig, shown, result, title=title, truth=known.get(frames[-1], [])))
-        save_map(stage / "map", result.map)
+        written = [read_yaml(save_map(stage / "map", result.map, mode=args.map_mode))["image"], "map.yaml"]
+        if args.bag:
+            written.append(bags.save_bag(stage / "map", maps, format=args.bag).name)
         write_file(stage / "overview.png", picture)
         write_file(stage / "objects.jsonl", "\n".join(lines) + "\n")
-    print(f"{out}: objects.jsonl ({len(lines)} frames), map.pgm, map.yaml, overview.png")
+    print(f"{out}: objects.jsonl ({len(lines)} frames), {', '.join(written)}, overview.png")
     for (name, reason), left_out in sorted(excluded.items(), key=lambda item: item[1][0]):
         print(f"occlib run: warning: {name}: {reason} in {_spans(left_out, frames)}, left out", file=sys.stderr)
     return 0

@@ -23,6 +23,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 import yaml
+from scipy.ndimage import distance_transform_edt
 
 FloatArray = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
@@ -119,6 +120,30 @@ class Floor:
     def cells(self, points_m: npt.ArrayLike) -> FloatArray:
         """Fractional cell ``(ix, iy)`` of points in m; cell centres are at integers. Shape (N, 2)."""
         return apply_homography(np.linalg.inv(self.cell_to_floor), points_m)
+
+    def distance_m(self, mask: Mask) -> FloatArray:
+        """Distance in m from every cell's centre to the centre of the nearest cell of a mask (ny, nx); 0 inside.
+
+        Exact and Euclidean; infinite everywhere if the mask is empty.
+
+        >>> Floor((0, 4), (0, 1), 1.0).distance_m(np.array([[True, False, False, False]]))
+        array([[0., 1., 2., 3.]])
+        """
+        if mask.shape != self.shape or mask.dtype != bool:
+            raise ValueError(f"mask: expected bool {self.shape}, got {mask.dtype} {mask.shape}")
+        if not mask.any():
+            return np.full(self.shape, np.inf)
+        return np.asarray(distance_transform_edt(~mask) * self.resolution, dtype=np.float64)
+
+    def near(self, mask: Mask, radius_m: float) -> Mask:
+        """Cells whose centre is closer than ``radius_m`` to the centre of a cell of a mask (ny, nx), and the mask itself.
+
+        A cell that is exactly ``radius_m`` away, to a millionth of a cell, is not near. To keep clear of the *whole* of a
+        cell and not only of its centre, add half its diagonal, ``0.71 * resolution``.
+        """
+        if not (np.isfinite(radius_m) and radius_m >= 0):
+            raise ValueError(f"radius_m: expected metres >= 0, got {radius_m}")
+        return np.asarray((self.distance_m(mask) < radius_m - 1e-6 * self.resolution) | mask)
 
     def polygon_mask(self, polygon_m: npt.ArrayLike) -> Mask:
         """Cells whose centre lies in a polygon (M, 2) given in m."""

@@ -104,7 +104,9 @@ def random_mission(seed: int, *, robots: int = 3, obstacles: int = 5) -> Mission
         inner = np.array([FLOOR.x, FLOOR.y]) + [[0.3, -0.3]]
         ends = rng.uniform(inner[:, 0], inner[:, 1], (2 * robots, 2))
         cells = np.rint(FLOOR.cells(ends)).astype(int)
-        apart = [math.dist(a, b) for group in (ends[:robots], ends[robots:]) for i, a in enumerate(group) for b in group[:i]]
+        apart = [
+            math.dist(a, b) for group in (ends[:robots], ends[robots:]) for i, a in enumerate(group) for b in group[:i]
+        ]
         far = np.linalg.norm(ends[:robots] - ends[robots:], axis=1)
         if blocked[cells[:, 1], cells[:, 0]].any() or min(apart, default=1.0) < 0.6 or far.min() < 1.5:
             continue
@@ -168,9 +170,7 @@ def _bodies(positions: Sequence[Point]) -> list[SceneObject]:
     return [upright("cylinder", at, 2 * RADIUS_M, HEIGHT_M, name=f"robot{i}") for i, at in enumerate(positions)]
 
 
-def _drive(
-    mission: Mission, kind: str, station: _Station, publisher: Publisher, robots: Sequence[_Robot]
-) -> Outcome:
+def _drive(mission: Mission, kind: str, station: _Station, publisher: Publisher, robots: Sequence[_Robot]) -> Outcome:
     """One mission on one kind of map."""
     names = list(range(len(mission.starts)))
     for k in names:
@@ -189,7 +189,11 @@ def _drive(
         rank = sorted(names, key=lambda k: plans[k]["arrived"])  # who has arrived makes way
         for place, k in enumerate(rank):
             others = [
-                {"name": str(j), "trajectory": plans[j]["trajectory"], "intention": plans[j].get("intention") if i < place else None}
+                {
+                    "name": str(j),
+                    "trajectory": plans[j]["trajectory"],
+                    "intention": plans[j].get("intention") if i < place else None,
+                }
                 for i, j in enumerate(rank)
                 if j != k
             ]
@@ -216,7 +220,9 @@ def _touching(obstacles: Sequence[SceneObject], plans: Sequence[Trajectory], now
         places = [position_at(path, float(t)) for path in plans]
         for i, at in enumerate(places):
             found |= {(i, j) for j in range(i) if math.dist(at, places[j]) < 2 * RADIUS_M - 1e-3}
-            found |= {(i, -1 - j) for j, thing in enumerate(obstacles) if _gap(at, thing.footprint(0)) < RADIUS_M - 1e-3}
+            found |= {
+                (i, -1 - j) for j, thing in enumerate(obstacles) if _gap(at, thing.footprint(0)) < RADIUS_M - 1e-3
+            }
     return found
 
 
@@ -246,7 +252,9 @@ class _Robot:
 
     def __init__(self, address: str) -> None:
         command = [sys.executable, "-m", "occlib.missions", address]
-        self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, encoding="utf-8")
+        self._process = subprocess.Popen(
+            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, encoding="utf-8"
+        )
 
     def ask(self, order: dict[str, Any]) -> dict[str, Any]:
         assert self._process.stdin is not None and self._process.stdout is not None

@@ -91,8 +91,11 @@ def staged_folder(path: str | Path) -> Iterator[Path]:
             target.rmdir()
 
 
-def read_image(path: str | Path) -> Image:
-    """An image file as uint8 RGB, shape (H, W, 3)."""
+def read_image(path: str | Path, *, alpha: bool = False) -> Image:
+    """An image file as uint8 RGB, shape (H, W, 3).
+
+    With ``alpha`` it is RGBA, (H, W, 4), 255 opaque, if the file has an alpha channel.
+    """
     try:
         data = np.frombuffer(Path(path).read_bytes(), np.uint8)
     except OSError as error:
@@ -101,7 +104,16 @@ def read_image(path: str | Path) -> Image:
     image = cv2.imdecode(data, cv2.IMREAD_COLOR) if whole else None  # a cut PNG would make libpng talk on stderr
     if image is None:
         raise ValueError(f"{path}: corrupt or not an image (expected PNG or JPEG)")
-    return cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
+    rgb = cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
+    return np.dstack([rgb, *_alpha(data)]) if alpha else rgb
+
+
+def _alpha(data: Image) -> list[Image]:
+    """The alpha channel of an encoded picture, uint8 (H, W), or nothing if it has none."""
+    image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED)
+    if image is None or image.ndim != 3 or image.shape[2] != 4:
+        return []
+    return [(image[..., 3] // (1 if image.dtype == np.uint8 else 257)).astype(np.uint8)]
 
 
 def read_templates(folder: str | Path) -> dict[str, Image]:
@@ -133,10 +145,13 @@ def _whole_png(data: bytes) -> bool:
 
 
 def encode_image(suffix: str, image: Image, *, quality: int = 92) -> bytes:
-    """A uint8 grey (H, W) or RGB (H, W, 3) image as the bytes of a .png, .jpg or .pgm file."""
+    """A uint8 grey (H, W) or RGB (H, W, 3) image as the bytes of a .png, .jpg or .pgm file; RGBA (H, W, 4) as .png."""
     if image.dtype != np.uint8 or image.ndim not in (2, 3) or image.size == 0:
         raise ValueError(f"image: expected uint8 (H, W) or (H, W, 3), got {image.dtype} {image.shape}")
-    bgr = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_RGB2BGR)
+    if image.ndim == 3 and image.shape[2] == 4 and suffix == ".png":
+        bgr = cv2.cvtColor(image, cv2.COLOR_RGBA2BGRA)
+    else:
+        bgr = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_RGB2BGR)
     jpeg = [cv2.IMWRITE_JPEG_QUALITY, quality, cv2.IMWRITE_JPEG_OPTIMIZE, 1]
     options = jpeg if suffix in (".jpg", ".jpeg") else [cv2.IMWRITE_PNG_COMPRESSION, 9] if suffix == ".png" else []
     done, data = cv2.imencode(suffix, bgr, options)
