@@ -212,7 +212,9 @@ class Publisher(_Connected):
             self._socket.bind(endpoint)
         except zmq.ZMQError as error:
             self.close()
-            raise ValueError(f"address: cannot publish at {short(address)} ({error.strerror})") from None
+            raise ValueError(
+                f"address: cannot publish at {short(address)} ({zmq.strerror(error.errno or 0)})"
+            ) from None
         self.address = self._socket.getsockopt_string(zmq.LAST_ENDPOINT)
 
     def send(
@@ -343,7 +345,9 @@ class Listener(_Connected):
             self._socket.connect(endpoint)
         except zmq.ZMQError as error:
             self.close()
-            raise ValueError(f"address: cannot connect to {short(address)} ({error.strerror})") from None
+            raise ValueError(
+                f"address: cannot connect to {short(address)} ({zmq.strerror(error.errno or 0)})"
+            ) from None
 
     def receive(self, timeout_s: float | None = None) -> Message | None:
         """The next message, or ``None`` if there is none for ``timeout_s`` seconds (``None``: wait for ever)."""
