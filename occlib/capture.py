@@ -228,7 +228,7 @@ class Capture:
             try:
                 read, picture = self._sources[name].read()
                 taken = time.perf_counter()
-                image = cv2.cvtColor(picture, cv2.COLOR_BGR2RGB) if read and picture is not None else None
+                image = _rgb(picture) if read and picture is not None else None
             except EOFError:
                 reason = "no more pictures"
                 break
@@ -252,6 +252,13 @@ class Capture:
         with self._news:
             self.ended[name] = reason
             self._news.notify_all()
+
+
+def _rgb(picture: Any) -> Image:
+    if not isinstance(picture, np.ndarray) or picture.dtype != np.uint8 or picture.ndim != 3 or picture.shape[2] != 3:
+        came = f"{picture.dtype} {picture.shape}" if isinstance(picture, np.ndarray) else type(picture).__name__
+        raise ValueError(f"picture: expected uint8 BGR (H, W, 3), got {came}")
+    return cv2.cvtColor(picture, cv2.COLOR_BGR2RGB)
 
 
 class Player:

@@ -319,11 +319,14 @@ def listen(args: argparse.Namespace) -> int:
         raise ValueError(f"--plot: expected a file name that ends in .png, got {args.plot}")
     if args.count is not None and args.count < 1:
         raise ValueError(f"--count: expected a number > 0, got {args.count}")
+    if args.timeout is not None and not args.timeout > 0:
+        raise ValueError(f"--timeout: expected seconds > 0, got {args.timeout}")
     if args.plot:
         import occlib.plotting  # noqa: F401  slow, and maps must not wait for it
     drawn, message = -1.0, None
     options = {"keys": args.keys, "server_key": args.server_key, "timeout_s": args.timeout}
     with Listener(args.address, **options) as listener:
+        print(f"listening to {args.address}", file=sys.stderr, flush=True)
         try:
             for message in listener:
                 latency = 1e3 * (time.time() - message.t_capture)
