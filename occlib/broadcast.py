@@ -196,9 +196,7 @@ class Publisher(_Connected):
         self._lock, self._stop = threading.Lock(), threading.Event()
         self._zap = self._context.socket(zmq.REP)
         self._thread = threading.Thread(target=self._serve, name="occlib-broadcast", daemon=True)
-        self._socket.setsockopt(
-            zmq.XPUB_VERBOSE, 1
-        )  # a subscription that comes again, on a new connection, is told too
+        self._socket.setsockopt(zmq.XPUB_VERBOSE, 1)  # tell of a subscription that comes again, on a new connection
         self._socket.setsockopt(zmq.SNDHWM, _QUEUE)
         self._socket.setsockopt(zmq.MAXMSGSIZE, 1024)  # of what comes in
         try:

@@ -120,6 +120,16 @@ def test_a_picture_that_comes_too_late_does_not_turn_back_the_time(silent: Captu
     assert silent.dropped == {"a": 0, "b": 0, "c": 1}
 
 
+def test_the_newest_instant_is_handed_out(silent: Capture) -> None:
+    silent.ended["c"] = "gone"
+    start = time.perf_counter() - 1.0
+    put(silent, a=[start, start + 0.1, start + 0.2, start + 0.3], b=[start + 0.01, start + 0.11, start + 0.21])
+    pair = silent._next()
+    assert pair and pair.time == start + 0.3  # of which b has none, and it is too late for it
+    assert pair.images["b"] is None
+    assert silent.dropped == {"a": 3, "b": 3, "c": 0}
+
+
 @settings(deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
 @given(st.lists(st.lists(st.floats(0, 0.3), max_size=8, unique=True), min_size=3, max_size=3))
 def test_whatever_the_times(silent: Capture, times: list[list[float]]) -> None:
