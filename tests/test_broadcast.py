@@ -108,25 +108,34 @@ def fake_publisher() -> Iterator[tuple[str, Callable[[Sequence[bytes]], None]]]:
         yield bare.getsockopt_string(zmq.LAST_ENDPOINT), publish
 
 
-@pytest.fixture
-def child() -> Iterator[Callable[..., subprocess.Popen[str]]]:
-    """``child(address, pause)``: a listener in a process of its own, which does not survive the test."""
-    processes: list[subprocess.Popen[str]] = []
+class Child:
+    """A listener in a process of its own, that writes what it gets to a file."""
 
-    def start(address: str, pause: float = 0.0) -> subprocess.Popen[str]:
-        arguments = [sys.executable, "-c", CHILD, address, str(pause)]
-        processes.append(subprocess.Popen(arguments, stdout=subprocess.PIPE, text=True))
-        return processes[-1]
+    def __init__(self, address: str, pause: float, path: Path) -> None:
+        self.path = path
+        with path.open("w") as output:
+            self.process = subprocess.Popen([sys.executable, "-c", CHILD, address, str(pause)], stdout=output)
+
+    def lines(self) -> list[tuple[str, int, int, int]]:
+        """Session, sequence, received, missed of each message so far."""
+        return [tuple(json.loads(line)) for line in self.path.read_text().splitlines() if line[:1] + line[-1:] == "[]"]
+
+
+@pytest.fixture
+def child(tmp_path: Path) -> Iterator[Callable[..., Child]]:
+    """``child(address, pause)``, which does not survive the test."""
+    children: list[Child] = []
+
+    def start(address: str, pause: float = 0.0) -> Child:
+        children.append(Child(address, pause, tmp_path / f"child{len(children)}"))
+        return children[-1]
 
     try:
         yield start
     finally:
-        for process in processes:
-            process.kill()
-        for process in processes:
-            process.wait()
-            assert process.stdout
-            process.stdout.close()
+        for each in children:
+            each.process.kill()
+            each.process.wait()
 
 
 @pytest.fixture(scope="module")
@@ -482,13 +491,6 @@ def test_oversized_messages_do_not_arrive() -> None:
         assert (listener.received, listener.rejected) == (0, 0)
 
 
-def lines_of(process: subprocess.Popen[str]) -> list[tuple[str, int, int, int]]:
-    """What a killed child wrote: session, sequence, received, missed."""
-    process.kill()
-    lines = process.communicate()[0].splitlines()
-    return [tuple(json.loads(line)) for line in lines if line.startswith("[") and line.endswith("]")]
-
-
 def assert_complete(lines: Sequence[tuple[str, int, int, int]]) -> None:
     """Nothing twice or out of order, and every number is received or counted as missed."""
     assert lines
@@ -499,31 +501,37 @@ def assert_complete(lines: Sequence[tuple[str, int, int, int]]) -> None:
     assert [received for *_, received, _ in lines] == list(range(1, len(lines) + 1))
 
 
-def test_slow_stopped_and_killed_listeners(child: Callable[..., subprocess.Popen[str]]) -> None:
+def test_slow_stopped_and_killed_listeners(child: Callable[..., Child]) -> None:
     big = Floor((0.0, 4.0), (0.0, 3.0), 0.01)
     grid, longest = np.zeros(big.shape, np.int8), 0.0
     with Publisher() as publisher:
-        processes = [child(publisher.address, pause) for pause in (0.0, 0.01, 0.0, 0.0)]
-        for process in processes:
-            assert process.stdout and process.stdout.readline() == "ready\n"
-        _, _, killed, stopped = processes
-        for i in range(2000):
-            start = time.perf_counter()
-            publisher.send(grid, big, THINGS, time.time())
-            longest = max(longest, time.perf_counter() - start)
-            if i == 500:
-                killed.send_signal(signal.SIGKILL)
-                stopped.send_signal(signal.SIGSTOP)
-            if i % 20 == 0:
-                time.sleep(0.004)
+        children = [child(publisher.address, pause) for pause in (0.0, 0.01, 0.0, 0.0)]
+        fast, slow, killed, stopped = children
+
+        def send_some(count: int) -> None:
+            nonlocal longest
+            for _ in range(count):
+                start = time.perf_counter()
+                publisher.send(grid, big, THINGS, time.time())
+                longest = max(longest, time.perf_counter() - start)
+            time.sleep(0.004)
+
+        def go_on(done: Callable[[], object]) -> bool:
+            return until(lambda: send_some(1) or done(), 2 * SOON)
+
+        assert go_on(lambda: all(len(each.lines()) > 10 for each in children))
+        killed.process.send_signal(signal.SIGKILL)
+        stopped.process.send_signal(signal.SIGSTOP)
+        for _ in range(100):
+            send_some(20)
         last = publisher.sequence
-        time.sleep(0.2)
-        results = [lines_of(process) for process in processes]
-    for lines in results:
-        assert_complete(lines)
+        assert go_on(lambda: slow.lines()[-1][3] > 100 and fast.lines()[-1][1] > last)  # it missed some, and knows
+    for each in children:
+        each.process.kill()
+        each.process.wait()
+        assert_complete(each.lines())
     assert longest < 0.5  # a stopped listener stays so: whoever waited for it would wait for ever
-    assert len(results[1]) < len(results[0]) <= last
-    assert results[1][-1][3] > 100  # the slow one missed some, and knows
+    assert len(slow.lines()) < len(fast.lines()) <= publisher.sequence
 
 
 def test_nothing_is_left_behind() -> None:
