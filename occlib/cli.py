@@ -1,4 +1,4 @@
-"""The roof: ``occlib reproduce | run | evaluate | compare | sweep | calibrate | render | data``."""
+"""The roof: ``occlib reproduce | run | broadcast | listen | evaluate | compare | sweep | calibrate | render | data``."""
 
 from __future__ import annotations
 
@@ -11,6 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from occlib import __version__
+
+ADDRESS = "tcp://127.0.0.1:5599"
 
 
 def build_parser() -> argparse.ArgumentParser:
@@ -49,6 +51,46 @@ def build_parser() -> argparse.ArgumentParser:
         "--map-mode", default="trinary", metavar="MODE", help="of map_server: trinary (default), scale or raw"
     )
     p.add_argument("--bag", metavar="FORMAT", help="every frame's map as a bag, DIR/map: mcap, ros2 or ros1")
+
+    p = add("broadcast", "Publish the map of a recording, or of live cameras, as it is made.", broadcast)
+    p.epilog = (
+        "Beyond this machine keys are needed: `occlib broadcast keygen NAME` makes NAME.key, public, and NAME.key_secret, for the "
+        "publisher and for each listener. A recording that is called keygen is ./keygen."
+    )
+    p.add_argument("recording", nargs="?", metavar="RECORDING", help="a folder, or a name in data/lab; or: keygen")
+    p.add_argument("name", nargs="?", metavar="NAME", help="keygen: whose keys")
+    p.add_argument("--out", metavar="DIR", help="keygen: where the keys go (here)")
+    p.add_argument(
+        "--device", nargs="+", metavar="N", help="live cameras, by number, or videos; in the order of the rig"
+    )
+    p.add_argument("--rig", metavar="rig.yaml", help="of the live cameras")
+    p.add_argument(
+        "--background", metavar="DIR", help="pictures of the empty floor, DIR/CAMERA/*.png, of the live cameras"
+    )
+    p.add_argument(
+        "--tolerance", type=float, default=0.05, metavar="S", help="pictures of an instant are closer (0.05 s)"
+    )
+    p.add_argument("--cameras", nargs="+", metavar="NAME", help="views to use; all of the rig by default")
+    p.add_argument("--profile", default="recommended", metavar="NAME", help="recommended (default), and, or paper")
+    p.add_argument("--rule", metavar="NAME", help="as in occlib run")
+    p.add_argument("--threshold", metavar="T", help="as in occlib run")
+    p.add_argument("--rate", type=float, metavar="HZ", help="instead of the recording's rate; 0: as fast as possible")
+    p.add_argument("--loop", action="store_true", help="play the recording again and again")
+    p.add_argument("--address", default=ADDRESS, metavar="tcp://HOST:PORT", help=f"where ({ADDRESS}); port *: any")
+    p.add_argument("--keys", metavar="FILE", help="the publisher's NAME.key_secret")
+    p.add_argument("--allow", metavar="DIR", help="the listeners' public keys, DIR/*.key")
+
+    p = add("listen", "Receive the maps of occlib broadcast.", listen)
+    p.add_argument("address", nargs="?", default=ADDRESS, metavar="tcp://HOST:PORT", help=f"where from ({ADDRESS})")
+    p.add_argument("--json", action="store_true", help="print one JSON object a map")
+    p.add_argument("--maps", action="store_true", help="with its cells, as in nav_msgs/OccupancyGrid")
+    p.add_argument(
+        "--plot", nargs="?", const="map.png", metavar="FILE.png", help="draw the newest map, at most once a second"
+    )
+    p.add_argument("--count", type=int, metavar="N", help="stop after so many maps")
+    p.add_argument("--timeout", type=float, metavar="S", help="stop when no map comes for so long")
+    p.add_argument("--keys", metavar="FILE", help="the listener's NAME.key_secret")
+    p.add_argument("--server-key", metavar="FILE", help="the publisher's NAME.key")
 
     p = add("evaluate", "Score objects.jsonl against truth.json.", evaluate)
     p.add_argument("objects", metavar="OBJECTS.jsonl")
@@ -209,6 +251,151 @@ def _threshold(text: str | None) -> str | float | None:
         return None if text is None else float(text)
     except ValueError:
         return text
+
+
+def broadcast(args: argparse.Namespace) -> int:
+    from contextlib import ExitStack
+
+    from tqdm import tqdm
+
+    from occlib.broadcast import Publisher, keygen
+    from occlib.pipeline import Pipeline, settings_for
+
+    if args.recording == "keygen":
+        if args.name is None:
+            raise ValueError("keygen: expected a name, as in: occlib broadcast keygen robot1")
+        print("{}: to be given away\n{}: secret".format(*keygen(args.out or ".", args.name)))
+        return 0
+    if args.name is not None or args.out is not None or (args.recording is None) == (args.device is None):
+        raise ValueError("expected either a recording, or --device with --rig and --background, or keygen NAME")
+    settings = settings_for(args.profile, rule=args.rule, threshold=_threshold(args.threshold))
+    published, dropped, skews = 0, dict[str, int](), []
+    with ExitStack() as stack:
+        rig, backgrounds, instants, total = (_live if args.device else _played)(args, stack)
+        pipeline = Pipeline(rig, backgrounds, settings)
+        publisher = stack.enter_context(Publisher(args.address, keys=args.keys, allowed=args.allow))
+        print(f"publishing at {publisher.address}", file=sys.stderr, flush=True)
+        try:
+            for pair in instants:  # what is compiled, or loaded, at first use is not to delay the first maps
+                Pipeline(rig, backgrounds, settings).process(pair.images, pair.time)
+                break
+            for pair in tqdm(instants, total=total, unit="frame", disable=None):
+                result = pipeline.process(pair.images, pair.time)
+                objects = [thing.to_dict() for thing in result.objects]
+                publisher.send(result.map.data, rig.floor, objects, pair.epoch())
+                published += 1
+                skews.append(pair.skew_s)
+        except KeyboardInterrupt:
+            pass  # how it ends: live cameras have no last frame
+        dropped = instants.dropped
+    lost = ", ".join(f"{count} of {name}" for name, count in dropped.items())
+    skew = f", skew at most {1e3 * max(skews):.1f} ms" if args.device and skews else ""
+    print(f"{published} maps published; frames dropped: {lost}{skew}")
+    return 0
+
+
+def _played(args: argparse.Namespace, stack: Any) -> tuple[Any, ...]:
+    """Rig, backgrounds, instants and their number, of a recording."""
+    from occlib.capture import Player
+    from occlib.pipeline import backgrounds_of
+    from occlib.recordings import open_recording
+
+    recording = open_recording(args.recording, args.cameras)
+    player = Player(recording, rate=args.rate, loop=args.loop)
+    return recording.rig, backgrounds_of(recording, progress=True), player, None if args.loop else len(recording.frames)
+
+
+def _live(args: argparse.Namespace, stack: Any) -> tuple[Any, ...]:
+    """The same of live cameras, which are closed by the stack."""
+    from occlib.capture import Capture, Device
+    from occlib.foreground import average_background
+    from occlib.geometry import Rig
+    from occlib.recordings import empty_floor_images
+
+    if args.rig is None or args.background is None or args.rate is not None or args.loop:
+        raise ValueError("--device: expected --rig and --background with it, and neither --rate nor --loop")
+    rig = Rig.load(args.rig).select(args.cameras)
+    if len(args.device) != len(rig.cameras):
+        raise ValueError(f"--device: expected one for each of {', '.join(rig.cameras)}, got {len(args.device)}")
+    pictures = empty_floor_images(args.background, rig)
+    if missing := [name for name in rig.cameras if name not in pictures]:
+        raise ValueError(f"--background: {args.background} has no pictures of {', '.join(missing)}")
+    devices = {}
+    for (name, camera), device in zip(rig.cameras.items(), args.device, strict=True):
+        devices[name] = Device(device, size=camera.size)
+        stack.callback(devices[name].release)
+    capture = stack.enter_context(Capture(devices, tolerance_s=args.tolerance))
+    return rig, {name: average_background(images) for name, images in pictures.items()}, capture, None
+
+
+def listen(args: argparse.Namespace) -> int:
+    import time
+
+    from occlib.broadcast import Listener
+
+    if args.plot is not None and Path(args.plot).suffix.lower() != ".png":
+        raise ValueError(f"--plot: expected a file name that ends in .png, got {args.plot}")
+    if args.count is not None and args.count < 1:
+        raise ValueError(f"--count: expected a number > 0, got {args.count}")
+    if args.timeout is not None and not args.timeout > 0:
+        raise ValueError(f"--timeout: expected seconds > 0, got {args.timeout}")
+    if args.plot:
+        import occlib.plotting  # noqa: F401  slow, and maps must not wait for it
+    drawn, message = -1.0, None
+    options = {"keys": args.keys, "server_key": args.server_key, "timeout_s": args.timeout}
+    with Listener(args.address, **options) as listener:
+        print(f"listening to {args.address}", file=sys.stderr, flush=True)
+        try:
+            for message in listener:
+                latency = 1e3 * (time.time() - message.t_capture)
+                print(_as_json(message, latency, args.maps) if args.json else _as_text(message, latency), flush=True)
+                if args.plot and time.monotonic() >= drawn + 1:
+                    _draw(message, args.plot)
+                    drawn = time.monotonic()
+                if listener.received == args.count:
+                    break
+        except KeyboardInterrupt:
+            args.count = None  # how it ends
+    if args.plot and message:
+        _draw(message, args.plot)
+    print(f"{listener.received} maps received, {listener.missed} missed, {listener.rejected} rejected", file=sys.stderr)
+    return 0 if args.count is None or listener.received == args.count else 1
+
+
+def _as_text(message: Any, latency_ms: float) -> str:
+    things = "".join(f"  {t['id']} ({t['x']:.2f}, {t['y']:.2f})" for t in message.objects)
+    return f"{message.sequence:>6}  {latency_ms:7.1f} ms  {len(message.objects)} objects{things}"
+
+
+def _as_json(message: Any, latency_ms: float, cells: bool) -> str:
+    floor, (height, width) = message.floor, message.floor.shape
+    counts = {
+        name: int((message.data == value).sum()) for name, value in (("free", 0), ("occupied", 100), ("unknown", -1))
+    }
+    grid = {"width": width, "height": height, "resolution": floor.resolution, "origin": [floor.x[0], floor.y[0]]}
+    return json.dumps(
+        {
+            **{name: getattr(message, name) for name in ("session", "sequence", "t_capture", "t_sent")},
+            "latency_ms": round(latency_ms, 3),
+            "map": {**grid, "counts": counts, **({"data": message.data.ravel().tolist()} if cells else {})},
+            "objects": message.objects,
+        }
+    )
+
+
+def _draw(message: Any, path: str) -> None:
+    from occlib.mapping import OccupancyMap
+    from occlib.plotting import figure_png, new_figure, show_map
+    from occlib.recordings import write_file
+    from occlib.tracking import ObjectVector
+
+    things = [
+        ObjectVector(t["id"], (t["x"], t["y"]), (t["vx"], t["vy"]), t["area"], tuple(t["colour"]))
+        for t in message.objects
+    ]
+    fig, ax = new_figure(width=6.0, height=5.0)
+    show_map(ax, OccupancyMap(message.data, message.floor), things, title=f"map {message.sequence}")
+    write_file(path, figure_png(fig))
 
 
 def evaluate(args: argparse.Namespace) -> int:

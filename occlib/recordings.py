@@ -231,14 +231,18 @@ class Recording:
 
     def background_images(self) -> dict[str, list[Image]]:
         """The pictures of the empty floor for each camera; a camera without any is left out."""
-        found: dict[str, list[Image]] = {}
-        for name in self.sources:
-            paths = _pictures(self.path / "background" / name)
-            if paths:
-                found[name] = [read_image(path) for path in paths]
-                for path, image in zip(paths, found[name], strict=True):
-                    check_size(image, self.rig[name].size, f"{path}")
-        return found
+        return empty_floor_images(self.path / "background", self.rig)
+
+
+def empty_floor_images(folder: str | Path, rig: Rig) -> dict[str, list[Image]]:
+    """The pictures ``folder/<camera>/*`` of the empty floor, uint8 RGB (H, W, 3); a camera without any is left out."""
+    found: dict[str, list[Image]] = {}
+    for name, camera in rig.cameras.items():
+        for path in _pictures(Path(folder) / name):
+            image = read_image(path)
+            check_size(image, camera.size, f"{path}")
+            found.setdefault(name, []).append(image)
+    return found
 
 
 def check_size(image: Image, size: tuple[int, int], what: str) -> None:
