@@ -640,8 +640,8 @@ class MaskExplainer:
         self._planes = {n: [FloorWarp(c, self._coarse, z) for z in planes_m] for n, c in rig.cameras.items()}
         self._visible = {n: np.stack([plane.visible for plane in planes]) for n, planes in self._planes.items()}
 
-    def explain(self, masks: Mapping[str, Mask]) -> list[Cylinder]:
-        """The cylinders that explain the masks of one instant, ``{camera: bool (H, W)}``; no memory of the last instant."""
+    def explain(self, masks: Mapping[str, Mask], before: Sequence[Cylinder] = ()) -> list[Cylinder]:
+        """The cylinders that explain the masks of one instant, ``{camera: bool (H, W)}``; ``before``: those of the last."""
         views = []
         for name, mask in masks.items():
             warp = self._polar[name]
@@ -661,7 +661,7 @@ class MaskExplainer:
             ),
             axis=0,
         )
-        return explain(PolarEvidence.of(views), standing, how=self.how)
+        return explain(PolarEvidence.of(views), standing, before=before, how=self.how)
 
 
 # --- colour ----------------------------------------------------------------------------------------

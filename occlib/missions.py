@@ -28,6 +28,7 @@ from tqdm import tqdm
 
 from occlib.broadcast import Listener, Publisher
 from occlib.crowds import MaskExplainer, Simulation, random_crowd, union, upright, wall_rig
+from occlib.explaining import Cylinder
 from occlib.geometry import FloatArray, Floor, Mask
 from occlib.mapping import MapData, occupancy_map
 from occlib.navigation import Navigator, path_length_m, plan
@@ -43,8 +44,8 @@ RADIUS_M, HEIGHT_M, SPEED_MPS = 0.12, 0.3, 0.4
 """A robot is an upright cylinder."""
 STEP_S = 0.5
 """Between two maps."""
-TIME_LIMIT_S = 60.0
-"""A mission that takes longer is given up; so is one in which nobody has moved for a sixth of it."""
+TIME_LIMIT_S = 30.0
+"""A mission that takes longer is given up; so is one in which nobody has moved for a third of it."""
 _ANSWER_S = 60.0
 
 
@@ -101,7 +102,7 @@ def random_mission(seed: int, *, robots: int = 3, obstacles: int = 5) -> Mission
     for _ in range(1000):
         crowd = random_crowd(obstacles, rng, floor=FLOOR, gap=0.1)
         blocked = FLOOR.near(_footprints(crowd), RADIUS_M + 0.15)
-        inner = np.array([FLOOR.x, FLOOR.y]) + [[0.3, -0.3]]
+        inner = np.add([FLOOR.x, FLOOR.y], [0.3, -0.3])
         ends = rng.uniform(inner[:, 0], inner[:, 1], (2 * robots, 2))
         cells = np.rint(FLOOR.cells(ends)).astype(int)
         apart = [
@@ -132,7 +133,8 @@ def run_missions(missions: Sequence[Mission], maps: Sequence[str] = MAPS, *, pro
     station = _Station()
     with Publisher() as publisher, _robots(len(missions[0].starts), publisher.address) as robots:
         jobs = [(mission, kind) for mission in missions for kind in maps]
-        return [_drive(*job, station, publisher, robots) for job in tqdm(jobs, disable=None if progress else True)]
+        bar = tqdm(jobs, unit="drive", disable=None if progress else True)
+        return [_drive(mission, kind, station, publisher, robots) for mission, kind in bar]
 
 
 # --- the station -----------------------------------------------------------------------------------------
@@ -143,6 +145,7 @@ class _Station:
         self.rig = wall_rig(2, floor=FLOOR, size=(320, 240))
         self.simulation, self.explainer = Simulation(self.rig), MaskExplainer(self.rig)
         self.everywhere = np.ones(FLOOR.shape, bool)
+        self.things: list[Cylinder] = []
 
     def masks(self, things: Sequence[SceneObject]) -> dict[str, Mask]:
         return union(self.simulation.silhouettes(things))
@@ -156,8 +159,8 @@ class _Station:
         else:
             occupied = self.simulation.occupied(masks, "and")
         if kind.startswith("explain"):
-            both, occupied = occupied, footprints(self.explainer.explain(masks), occupied, FLOOR) > 0
-            known = ~both
+            self.things = self.explainer.explain(masks, self.things)
+            known, occupied = ~occupied, footprints(self.things, occupied, FLOOR) > 0
         return occupancy_map(occupied, known, FLOOR).data
 
 
@@ -175,11 +178,13 @@ def _drive(mission: Mission, kind: str, station: _Station, publisher: Publisher,
     names = list(range(len(mission.starts)))
     for k in names:
         robots[k].ask({"goal": mission.goals[k], "unknown_free": kind.endswith("unknown free")})
+    station.things = []
+    outlines = [thing.footprint(0) for thing in mission.obstacles]
     still, under = station.masks(mission.obstacles), _footprints(mission.obstacles)
     plans: list[dict[str, Any]] = [{"trajectory": [(0.0, *at)], "arrived": False} for at in mission.starts]
     positions, paths, blocked, now, moved = list(mission.starts), [[at] for at in mission.starts], [], 0.0, 0.0
     touched: set[tuple[int, int]] = set()
-    while now < TIME_LIMIT_S and now - moved <= TIME_LIMIT_S / 6 and not all(p["arrived"] for p in plans):
+    while now < TIME_LIMIT_S and now - moved <= TIME_LIMIT_S / 3 and not all(p["arrived"] for p in plans):
         bodies = _bodies(positions)
         moving, true = station.masks(bodies), under | _footprints(bodies)
         data = station.map(kind, {name: still[name] | moving[name] for name in still}, true)
@@ -198,7 +203,7 @@ def _drive(mission: Mission, kind: str, station: _Station, publisher: Publisher,
                 if j != k
             ]
             plans[k] = robots[k].ask({"sequence": sequence, "time": now, "position": positions[k], "others": others})
-        touched |= _touching(mission.obstacles, [p["trajectory"] for p in plans], now)
+        touched |= _touching(outlines, [p["trajectory"] for p in plans], now)
         now += STEP_S
         ahead = [position_at(p["trajectory"], now) for p in plans]
         if any(math.dist(a, b) > 1e-6 for a, b in zip(ahead, positions, strict=True)):
@@ -213,16 +218,14 @@ def _drive(mission: Mission, kind: str, station: _Station, publisher: Publisher,
     )  # fmt: skip
 
 
-def _touching(obstacles: Sequence[SceneObject], plans: Sequence[Trajectory], now: float) -> set[tuple[int, int]]:
+def _touching(outlines: Sequence[FloatArray], plans: Sequence[Trajectory], now: float) -> set[tuple[int, int]]:
     """Pairs that touch within the step: (robot, robot), or (robot, -1 - obstacle)."""
     found = set()
     for t in np.linspace(now, now + STEP_S, 11):
         places = [position_at(path, float(t)) for path in plans]
         for i, at in enumerate(places):
             found |= {(i, j) for j in range(i) if math.dist(at, places[j]) < 2 * RADIUS_M - 1e-3}
-            found |= {
-                (i, -1 - j) for j, thing in enumerate(obstacles) if _gap(at, thing.footprint(0)) < RADIUS_M - 1e-3
-            }
+            found |= {(i, -1 - j) for j, outline in enumerate(outlines) if _gap(at, outline) < RADIUS_M - 1e-3}
     return found
 
 
