@@ -79,6 +79,8 @@ class Outcome:
         Simulated, until the end.
     paths
         For each robot where it was at each step, (n, 2) in m.
+    first_map
+        The first map that was broadcast, int8 (ny, nx).
     """
 
     seed: int
@@ -89,7 +91,8 @@ class Outcome:
     length_ratio: float
     blocked_m2: float
     time_s: float
-    paths: list[FloatArray] = field(repr=False, default_factory=list)
+    paths: list[FloatArray] = field(repr=False)
+    first_map: MapData = field(repr=False)
 
 
 def random_mission(seed: int, *, robots: int = 3, obstacles: int = 5) -> Mission:
@@ -183,12 +186,13 @@ def _drive(mission: Mission, kind: str, station: _Station, publisher: Publisher,
     still, under = station.masks(mission.obstacles), _footprints(mission.obstacles)
     plans: list[dict[str, Any]] = [{"trajectory": [(0.0, *at)], "arrived": False} for at in mission.starts]
     positions, paths, blocked, now, moved = list(mission.starts), [[at] for at in mission.starts], [], 0.0, 0.0
-    touched: set[tuple[int, int]] = set()
+    touched, first = set[tuple[int, int]](), None
     while now < TIME_LIMIT_S and now - moved <= TIME_LIMIT_S / 3 and not all(p["arrived"] for p in plans):
         bodies = _bodies(positions)
         moving, true = station.masks(bodies), under | _footprints(bodies)
         data = station.map(kind, {name: still[name] | moving[name] for name in still}, true)
         wrong = (data > 0) | (data < 0) & (not kind.endswith("unknown free"))
+        first = data if first is None else first
         blocked.append(float((wrong & ~true).sum()) * FLOOR.cell_area)
         sequence = publisher.send(data, FLOOR, [], time.time()).sequence
         rank = sorted(names, key=lambda k: plans[k]["arrived"])  # who has arrived makes way
@@ -212,10 +216,19 @@ def _drive(mission: Mission, kind: str, station: _Station, publisher: Publisher,
         for path, at in zip(paths, positions, strict=True):
             path.append(at)
     done = [math.dist(at, goal) < 0.1 for at, goal in zip(positions, mission.goals, strict=True)]
+    assert first is not None
     return Outcome(
-        mission.seed, kind, len(names), sum(done), len(touched), _detour(mission, paths, done),
-        float(np.mean(blocked)), now, [np.array(path) for path in paths],
-    )  # fmt: skip
+        mission.seed,
+        kind,
+        len(names),
+        sum(done),
+        len(touched),
+        _detour(mission, paths, done),
+        float(np.mean(blocked)),
+        now,
+        [np.array(path) for path in paths],
+        first,
+    )
 
 
 def _touching(outlines: Sequence[FloatArray], plans: Sequence[Trajectory], now: float) -> set[tuple[int, int]]:
