@@ -256,8 +256,8 @@ def broadcast(args: argparse.Namespace) -> int:
         rig, backgrounds, instants, total = (_live if args.device else _played)(args, stack)
         pipeline = Pipeline(rig, backgrounds, settings)
         publisher = stack.enter_context(Publisher(args.address, keys=args.keys, allowed=args.allow))
-        print(f"publishing at {publisher.address}", file=sys.stderr, flush=True)
         try:
+            print(f"publishing at {publisher.address}", file=sys.stderr, flush=True)
             for pair in instants:  # what is compiled, or loaded, at first use is not to delay the first maps
                 Pipeline(rig, backgrounds, settings).process(pair.images, pair.time)
                 break
@@ -328,8 +328,8 @@ def listen(args: argparse.Namespace) -> int:
     drawn, message = -1.0, None
     options = {"keys": args.keys, "server_key": args.server_key, "timeout_s": args.timeout}
     with Listener(args.address, **options) as listener:
-        print(f"listening to {args.address}", file=sys.stderr, flush=True)
         try:
+            print(f"listening to {args.address}", file=sys.stderr, flush=True)
             for message in listener:
                 latency = 1e3 * (time.time() - message.t_capture)
                 print(_as_json(message, latency, args.maps) if args.json else _as_text(message, latency), flush=True)
