@@ -278,7 +278,7 @@ class Publisher(_Connected):
         poller = zmq.Poller()
         poller.register(self._zap, zmq.POLLIN)
         poller.register(self._socket.fileno(), zmq.POLLIN)
-        while not self._stop.is_set():
+        while not self._stop.wait(0.005):  # rarely enough not to be in the way of the other thread
             poller.poll(100)
             with suppress(zmq.Again):
                 while True:
