@@ -17,6 +17,7 @@ import struct
 import tempfile
 import threading
 import time
+from collections import deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -193,7 +194,8 @@ class Publisher(_Connected):
         super().__init__(zmq.XPUB, endpoint)
         self.session, self.sequence = secrets.token_hex(16), 0
         self._last: list[bytes] | None = None
-        self._lock, self._stop = threading.Lock(), threading.Event()
+        self._waiting = deque[list[bytes]](maxlen=_QUEUE)  # only while the other thread has the socket
+        self._lock, self._numbering, self._stop = threading.Lock(), threading.Lock(), threading.Event()
         self._zap = self._context.socket(zmq.REP)
         self._thread = threading.Thread(target=self._serve, name="occlib-broadcast", daemon=True)
         self._socket.setsockopt(zmq.XPUB_VERBOSE, 1)  # tell of a subscription that comes again, on a new connection
@@ -234,14 +236,13 @@ class Publisher(_Connected):
         ValueError
             One of them is wrong, or the publisher is closed. Nothing is sent, and the number is not used up.
         """
-        with self._lock:
+        with self._numbering:
             if self._stop.is_set():
                 raise ValueError("publisher: expected an open one, got one that is closed")
             message = Message(self.sequence + 1, t_capture, time.time(), data, floor, objects, self.session)
-            frames = encode(message)
-            self._last, self.sequence = frames, message.sequence
-            self._socket.send_multipart(frames, zmq.DONTWAIT)
-            self._answer(16)
+            self._waiting.append(encode(message))
+            self.sequence = message.sequence
+        self._work(16)
         return message
 
     def close(self) -> None:
@@ -254,21 +255,36 @@ class Publisher(_Connected):
             super().close()
 
     # The socket is used by two threads, one at a time: the lock is the memory barrier that zmq_socket(3) asks for. Its file
-    # descriptor only tells of news that nobody has looked at yet, so whoever used the socket looks for subscriptions.
+    # descriptor only tells of news that nobody has looked at yet, so whoever uses the socket looks for subscriptions.
+    def _work(self, most: int) -> bool:
+        """Send what waits, and answer; whether there may be more to answer. Leaves it to the other thread if that is at it."""
+        more = False
+        while self._lock.acquire(blocking=False):
+            try:
+                while self._waiting and not self._socket.closed:
+                    self._last = self._waiting.popleft()
+                    self._socket.send_multipart(self._last, zmq.DONTWAIT)
+                more = not self._socket.closed and self._answer(most)
+            finally:
+                self._lock.release()
+            if (
+                not self._waiting or self._stop.is_set()
+            ):  # else it came just before the release, and is left to this thread
+                return more
+        return False
+
     def _serve(self) -> None:
         """In a thread: answer subscriptions between two maps, and say who is let in."""
         poller = zmq.Poller()
         poller.register(self._zap, zmq.POLLIN)
         poller.register(self._socket.fileno(), zmq.POLLIN)
-        while not self._stop.is_set():
+        while not self._stop.wait(0.005):  # rarely enough not to be in the way of the other thread
             poller.poll(100)
             with suppress(zmq.Again):
                 while True:
                     self._zap.send_multipart(self._verdict(self._zap.recv_multipart(zmq.DONTWAIT)))
-            more = True
-            while more and not self._stop.is_set():
-                with self._lock:
-                    more = self._answer(64)
+            while self._work(64) and not self._stop.is_set():
+                pass
 
     def _verdict(self, request: Sequence[bytes]) -> list[bytes]:
         """Whether a client is let in (https://rfc.zeromq.org/spec/27)."""

@@ -269,13 +269,13 @@ def broadcast(args: argparse.Namespace) -> int:
     if args.name is not None or args.out is not None or (args.recording is None) == (args.device is None):
         raise ValueError("expected either a recording, or --device with --rig and --background, or keygen NAME")
     settings = settings_for(args.profile, rule=args.rule, threshold=_threshold(args.threshold))
-    published, dropped, skews = 0, dict[str, int](), []
+    published, worst = 0, 0.0
     with ExitStack() as stack:
         rig, backgrounds, instants, total = (_live if args.device else _played)(args, stack)
         pipeline = Pipeline(rig, backgrounds, settings)
         publisher = stack.enter_context(Publisher(args.address, keys=args.keys, allowed=args.allow))
-        print(f"publishing at {publisher.address}", file=sys.stderr, flush=True)
         try:
+            print(f"publishing at {publisher.address}", file=sys.stderr, flush=True)
             for pair in instants:  # what is compiled, or loaded, at first use is not to delay the first maps
                 Pipeline(rig, backgrounds, settings).process(pair.images, pair.time)
                 break
@@ -284,12 +284,14 @@ def broadcast(args: argparse.Namespace) -> int:
                 objects = [thing.to_dict() for thing in result.objects]
                 publisher.send(result.map.data, rig.floor, objects, pair.epoch())
                 published += 1
-                skews.append(pair.skew_s)
+                worst = max(worst, pair.skew_s)
         except KeyboardInterrupt:
             pass  # how it ends: live cameras have no last frame
         dropped = instants.dropped
+        for name, reason in getattr(instants, "ended", {}).items():
+            print(f"occlib broadcast: warning: {name}: {reason}", file=sys.stderr)
     lost = ", ".join(f"{count} of {name}" for name, count in dropped.items())
-    skew = f", skew at most {1e3 * max(skews):.1f} ms" if args.device and skews else ""
+    skew = f", skew at most {1e3 * worst:.1f} ms" if args.device else ""
     print(f"{published} maps published; frames dropped: {lost}{skew}")
     return 0
 
@@ -344,8 +346,8 @@ def listen(args: argparse.Namespace) -> int:
     drawn, message = -1.0, None
     options = {"keys": args.keys, "server_key": args.server_key, "timeout_s": args.timeout}
     with Listener(args.address, **options) as listener:
-        print(f"listening to {args.address}", file=sys.stderr, flush=True)
         try:
+            print(f"listening to {args.address}", file=sys.stderr, flush=True)
             for message in listener:
                 latency = 1e3 * (time.time() - message.t_capture)
                 print(_as_json(message, latency, args.maps) if args.json else _as_text(message, latency), flush=True)

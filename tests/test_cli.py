@@ -1053,6 +1053,28 @@ def test_broadcast_of_live_cameras(tiny_recording: Path, tmp_path: Path, capsys:
         )
 
 
+def test_cameras_that_fail_are_named(
+    tiny_recording: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    class Broken:
+        def __init__(self, device: str, *, size: tuple[int, int]) -> None:
+            assert (device, size) == ("0", (160, 120))
+
+        def read(self) -> None:
+            raise RuntimeError("the driver fell over")
+
+        def release(self) -> None:
+            pass
+
+    monkeypatch.setattr("occlib.capture.Device", Broken)
+    rig = ["--rig", str(tiny_recording / "rig.yaml"), "--background", str(tiny_recording / "background")]
+    assert main(["broadcast", "--device", "0", "0", "--address", "tcp://127.0.0.1:*", *rig]) == 0
+    said = capsys.readouterr()
+    assert said.out == "0 maps published; frames dropped: 0 of left, 0 of right, skew at most 0.0 ms\n"
+    for name in ("left", "right"):
+        assert f"occlib broadcast: warning: {name}: RuntimeError: the driver fell over\n" in said.err
+
+
 def test_keys_and_their_use(tiny_recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for name in ("server", "robot"):
         assert main(["broadcast", "keygen", name, "--out", str(tmp_path / name)]) == 0
