@@ -18,12 +18,13 @@ import math
 import subprocess
 import sys
 import time
-from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+import pandas as pd
 from tqdm import tqdm
 
 from occlib.broadcast import Listener, Publisher
@@ -34,6 +35,7 @@ from occlib.mapping import MapData, occupancy_map
 from occlib.navigation import Navigator, path_length_m, plan
 from occlib.pipeline import footprints
 from occlib.reservations import Point, Reservations, Trajectory, position_at
+from occlib.study import t_interval
 from occlib.synthetic import SceneObject
 
 MAPS = ("truth", "one view", "and", "explain", "explain, unknown free")
@@ -138,6 +140,56 @@ def run_missions(missions: Sequence[Mission], maps: Sequence[str] = MAPS, *, pro
         jobs = [(mission, kind) for mission in missions for kind in maps]
         bar = tqdm(jobs, unit="drive", disable=None if progress else True)
         return [_drive(mission, kind, station, publisher, robots) for mission, kind in bar]
+
+
+def summary(outcomes: Sequence[Outcome]) -> pd.DataFrame:
+    """A row for each kind of map: collisions in all, and means over the missions with the ends of their 95 % intervals.
+
+    Columns: ``collisions``; ``arrive``, the share of robots that arrive; ``way``, over the shortest; ``refused (m²)``; and of the
+    last three ``, low`` and ``, high``.
+    """
+    rows = {}
+    for kind in dict.fromkeys(o.map for o in outcomes):
+        own = [o for o in outcomes if o.map == kind]
+        row: dict[str, float] = {"collisions": sum(o.collisions for o in own)}
+        values = {
+            "arrive": [o.finished / o.robots for o in own],
+            "way": [o.length_ratio for o in own],
+            "refused (m²)": [o.blocked_m2 for o in own],
+        }
+        for name, numbers in values.items():
+            row[name], row[f"{name}, low"], row[f"{name}, high"] = t_interval(numbers)
+        rows[kind] = row
+    return pd.DataFrame(rows).T.astype({"collisions": int})
+
+
+def drive_together(
+    data: MapData, floor: Floor, ends_m: Mapping[str, tuple[Point, Point]], *, time_limit_s: float = TIME_LIMIT_S
+) -> dict[str, FloatArray]:
+    """Robots on one map that does not change, without sockets: where each is at every step, ``{name: (n, 2) in m}``.
+
+    Parameters
+    ----------
+    data, floor
+        int8 (ny, nx), without the robots on it.
+    ends_m
+        For each robot its start and its goal; whoever is named first has priority.
+    """
+    brains = {name: Navigator(goal, radius_m=RADIUS_M, speed_mps=SPEED_MPS) for name, (_, goal) in ends_m.items()}
+    tracks = {name: [start] for name, (start, _) in ends_m.items()}
+    said: dict[str, Trajectory] = {name: [(0.0, *start)] for name, (start, _) in ends_m.items()}
+    for now in np.arange(0, time_limit_s, STEP_S).tolist():
+        for name, brain in brains.items():
+            others, higher = Reservations(), True
+            for other in brains:
+                higher = higher and other != name
+                if other != name:
+                    intention = brains[other].intention if higher else None
+                    others.reserve(other, said[other], RADIUS_M, intention=intention or None)
+            said[name] = brain.update(data, floor, tracks[name][-1], others, now)
+        for name, track in tracks.items():
+            track.append(position_at(said[name], now + STEP_S))
+    return {name: np.array(track) for name, track in tracks.items()}
 
 
 # --- the station -----------------------------------------------------------------------------------------
@@ -274,8 +326,9 @@ class _Robot:
 
     def ask(self, order: dict[str, Any]) -> dict[str, Any]:
         assert self._process.stdin is not None and self._process.stdout is not None
-        self._process.stdin.write(json.dumps(order) + "\n")
-        self._process.stdin.flush()
+        with suppress(BrokenPipeError):
+            self._process.stdin.write(json.dumps(order) + "\n")
+            self._process.stdin.flush()
         answer = self._process.stdout.readline()
         if not answer:
             raise ValueError(f"robot: expected an answer, but its process ended ({self._process.wait()})")
@@ -283,8 +336,9 @@ class _Robot:
 
     def close(self) -> None:
         for pipe in (self._process.stdin, self._process.stdout):
-            if pipe is not None:
-                pipe.close()
+            with suppress(BrokenPipeError):
+                if pipe is not None:
+                    pipe.close()
         try:
             self._process.wait(5)
         except subprocess.TimeoutExpired:
