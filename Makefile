@@ -40,9 +40,10 @@ format: $(READY)  ## format the code and strip the notebooks
 	$(BIN)/ruff format
 	$(if $(NOTEBOOKS),$(BIN)/nbstripout $(NOTEBOOKS))
 
-bench: $(READY)  ## cost of the pipeline and of the matching measures as ratios to OpenCV
+bench: $(READY)  ## cost of the pipeline, of the matching measures and of the broadcast
 	$(BIN)/python tests/bench_pipeline.py
 	$(BIN)/python tests/bench_matching.py
+	$(BIN)/python tests/bench_broadcast.py
 
 notebooks: $(READY)  ## make the student copies, without solutions, in runs/student
 	@$(BIN)/python -c 'from occlib.notebooks import student_copies; print(len(student_copies("runs/student")), "student copies in runs/student")'

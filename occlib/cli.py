@@ -79,6 +79,8 @@ def build_parser() -> argparse.ArgumentParser:
     p.add_argument("--address", default=ADDRESS, metavar="tcp://HOST:PORT", help=f"where ({ADDRESS}); port *: any")
     p.add_argument("--keys", metavar="FILE", help="the publisher's NAME.key_secret")
     p.add_argument("--allow", metavar="DIR", help="the listeners' public keys, DIR/*.key")
+    p.add_argument("--ros2", nargs="?", const=0, type=int, metavar="DOMAIN",
+                   help="also as the ROS 2 topic /map, open to all in that domain (0)")  # fmt: skip
 
     p = add("listen", "Receive the maps of occlib broadcast.", listen)
     p.add_argument("address", nargs="?", default=ADDRESS, metavar="tcp://HOST:PORT", help=f"where from ({ADDRESS})")
@@ -254,12 +256,14 @@ def _threshold(text: str | None) -> str | float | None:
 
 
 def broadcast(args: argparse.Namespace) -> int:
+    from collections import Counter
     from contextlib import ExitStack
 
     from tqdm import tqdm
 
     from occlib.broadcast import Publisher, keygen
     from occlib.pipeline import Pipeline, settings_for
+    from occlib.ros2 import MapTopic
 
     if args.recording == "keygen":
         if args.name is None:
@@ -269,11 +273,12 @@ def broadcast(args: argparse.Namespace) -> int:
     if args.name is not None or args.out is not None or (args.recording is None) == (args.device is None):
         raise ValueError("expected either a recording, or --device with --rig and --background, or keygen NAME")
     settings = settings_for(args.profile, rule=args.rule, threshold=_threshold(args.threshold))
-    published, worst = 0, 0.0
+    published, worst, excluded = 0, 0.0, Counter[tuple[str, str]]()
     with ExitStack() as stack:
         rig, backgrounds, instants, total = (_live if args.device else _played)(args, stack)
         pipeline = Pipeline(rig, backgrounds, settings)
         publisher = stack.enter_context(Publisher(args.address, keys=args.keys, allowed=args.allow))
+        topic = None if args.ros2 is None else stack.enter_context(MapTopic(args.ros2))
         try:
             print(f"publishing at {publisher.address}", file=sys.stderr, flush=True)
             for pair in instants:  # what is compiled, or loaded, at first use is not to delay the first maps
@@ -283,6 +288,9 @@ def broadcast(args: argparse.Namespace) -> int:
                 result = pipeline.process(pair.images, pair.time)
                 objects = [thing.to_dict() for thing in result.objects]
                 publisher.send(result.map.data, rig.floor, objects, pair.epoch())
+                if topic is not None:
+                    topic.send(result.map, pair.epoch())
+                excluded.update(result.excluded.items())
                 published += 1
                 worst = max(worst, pair.skew_s)
         except KeyboardInterrupt:
@@ -290,6 +298,8 @@ def broadcast(args: argparse.Namespace) -> int:
         dropped = instants.dropped
         for name, reason in getattr(instants, "ended", {}).items():
             print(f"occlib broadcast: warning: {name}: {reason}", file=sys.stderr)
+    for (name, reason), count in excluded.items():
+        print(f"occlib broadcast: warning: {name}: {reason} in {count} maps, left out", file=sys.stderr)
     lost = ", ".join(f"{count} of {name}" for name, count in dropped.items())
     skew = f", skew at most {1e3 * worst:.1f} ms" if args.device else ""
     print(f"{published} maps published; frames dropped: {lost}{skew}")
