@@ -22,6 +22,8 @@ from matplotlib.patheffects import withStroke
 from occlib.geometry import Camera, FloatArray, Floor, Image, Mask, Rig
 
 if TYPE_CHECKING:
+    import pandas as pd
+
     from occlib.explaining import Cylinder
     from occlib.mapping import OccupancyMap
     from occlib.matching import Match
@@ -487,6 +489,33 @@ def rig_in_3d(ax: Any, rig: Rig, room: npt.ArrayLike, things: Mapping[str, npt.A
     ax.grid(visible=False)
     for axis in (ax.xaxis, ax.yaxis, ax.zaxis):
         axis.pane.set_visible(False)
+
+
+def vector_life(axes: Sequence[Axes], life: pd.DataFrame, shares: Mapping[str, str]) -> None:
+    """What each camera sees of an object; and how sure its vector is of its place, dots seen and crosses coasting.
+
+    Parameters
+    ----------
+    axes
+        Two.
+    life
+        A row for each frame and way of looking: ``time`` in s, ``way``, ``state`` (``"seen"`` or ``"coasting"``), ``sd (cm)``, and for each
+        camera the share of the object that it sees. The first way's shares are shown.
+    shares
+        ``{camera: colour}``.
+    """
+    top, bottom = axes
+    first = life[(life["way"] == life["way"].iloc[0]) & (life["state"] == "seen")]
+    for name, colour in shares.items():
+        top.plot(first["time"], first[name], color=colour, label=name)
+    for (way, state), part in life.groupby(["way", "state"], sort=False):
+        marker, colour = {"seen": ".", "coasting": "x"}[str(state)], "0.1" if way == first["way"].iloc[0] else "#D55E00"
+        bottom.plot(part["time"], part["sd (cm)"], marker, color=colour, label=f"{way}, {state}")
+    top.set(ylabel="share visible", title="what each camera sees of it")
+    bottom.set(xlabel="time (s)", ylabel="sd (cm)", yscale="log", title="how sure its vector is of its place")
+    for ax in (top, bottom):
+        ax.legend(loc="center left", bbox_to_anchor=(1, 0.5))
+    bottom.set_xlim(top.get_xlim())
 
 
 def show_mask_errors(ax: Axes, mask: Mask, truth: Mask, title: str = "") -> None:
