@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import json
+import math
 from itertools import groupby
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,7 @@ from occlib.geometry import Floor
 from occlib.metrics import (
     evaluate,
     evaluate_hidden,
+    foreground_scores,
     free_space_blocked,
     ghost_lifetimes,
     inside_polygon,
@@ -528,3 +530,24 @@ def test_real_truth_scores_itself_perfectly() -> None:
         score = evaluate(detections, truth, roi=roi)
         assert (score.moda, score.modp, score.frames) == (1.0, 1.0, 28)
     assert evaluate(detections, truth).truth_count == 56
+
+
+def test_foreground_scores_count_what_they_say() -> None:
+    truth = np.zeros((40, 40), bool)
+    truth[10:20, 10:20] = True
+    difference = np.zeros((40, 40))
+    difference[10:20, 10:20] = 80
+    difference[12:18, 10:20] = 10  # camouflage: it cannot be told from the floor, and does not count as missed object
+    difference[20:30, 10:20] = 40  # shadow, of which the first two rows are too near to be judged
+    scores = foreground_scores(truth.copy(), truth, difference)
+    assert scores == {"f_measure": 1.0, "shadow_detection": 1.0, "shadow_discrimination": 1.0}
+    mask = truth.copy()
+    mask[10:12, 10:20] = False  # half of what differs
+    mask[20:24, 10:20] = True  # two rows of eight that count
+    scores = foreground_scores(mask, truth, difference)
+    assert scores["shadow_detection"] == 0.75 and scores["shadow_discrimination"] == 0.5
+    assert scores["f_measure"] == pytest.approx(2 * 80 / (100 + 120))
+    nothing = foreground_scores(np.zeros((4, 4), bool), np.zeros((4, 4), bool), np.zeros((4, 4)))
+    assert all(math.isnan(value) for value in nothing.values())
+    with pytest.raises(ValueError, match="mask, truth, difference: expected bool, bool and numbers of one shape"):
+        foreground_scores(mask, truth[:5], difference)
