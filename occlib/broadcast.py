@@ -109,8 +109,8 @@ def _endpoint(address: str, *, secure: bool, listening: bool) -> str:
     except ValueError:  # a name may lead anywhere
         local = False
     if not local and not secure:
-        needed = "keys and server_key" if listening else "keys and allowed"
-        raise ValueError(f"address: expected 127.0.0.1 without keys; {short(address)} needs {needed}")
+        needed = "server_key (--keys, --server-key)" if listening else "allowed (--keys, --allow)"
+        raise ValueError(f"address: expected 127.0.0.1 without keys; {short(address)} needs keys and {needed}")
     if listening and not local:
         try:
             socket.getaddrinfo(host.strip("[]"), None)
@@ -187,7 +187,7 @@ class Publisher(_Connected):
         allowed: Keys | Iterable[Keys] | None = None,
     ) -> None:
         if (keys is None) != (allowed is None):
-            raise ValueError("keys, allowed: expected both or neither")
+            raise ValueError("keys, allowed (--keys, --allow): expected both or neither")
         endpoint = _endpoint(address, secure=keys is not None, listening=False)
         self._allowed = frozenset[bytes]() if allowed is None else _allowed(allowed)
         pair = None if keys is None else _load_key(keys, secret=True)
@@ -340,7 +340,7 @@ class Listener(_Connected):
         latest: bool = False,
     ) -> None:
         if (keys is None) != (server_key is None):
-            raise ValueError("keys, server_key: expected both or neither")
+            raise ValueError("keys, server_key (--keys, --server-key): expected both or neither")
         endpoint = _endpoint(address, secure=keys is not None, listening=True)
         pair = None if keys is None or server_key is None else (_load_key(keys, secret=True), _load_key(server_key)[0])
         super().__init__(zmq.SUB, endpoint)

@@ -10,6 +10,7 @@ import time
 from collections import deque
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from itertools import count
 from pathlib import Path
 from threading import Condition, Event, Thread
 from typing import Any, Protocol, Self
@@ -261,11 +262,15 @@ def _rgb(picture: Any) -> Image:
     return cv2.cvtColor(picture, cv2.COLOR_BGR2RGB)
 
 
-class Player:
-    """Plays a recording as if it were live; a loop over it gives :class:`Paired`. Each loop starts anew.
+AGAIN_S = 10.0
+"""s by which time leaps when a recording begins again: long enough for every object to be forgotten."""
 
-    An instant that is due before the one
-    before it is done with, by more than a period, is skipped, as a camera would.
+
+class Player:
+    """Plays a recording as if it were live; a loop over it gives :class:`Paired`, and starts anew.
+
+    An instant that is due before the one before it is done with, by more than a period, is skipped, as a camera would. Its
+    ``time`` is that of playing, so that velocities are those that a listener sees, whatever the rate.
 
     Parameters
     ----------
@@ -274,7 +279,7 @@ class Player:
     rate
         Instants a second; that of the recording for ``None``, 0: as fast as they are asked for, none is skipped.
     loop
-        Start again at the end, with the time going on.
+        Start again at the end: with ``time`` :data:`AGAIN_S` later than it would be, as all objects jump.
 
     Attributes
     ----------
@@ -295,25 +300,20 @@ class Player:
         self.dropped = dict.fromkeys(recording.rig.cameras, 0)
 
     def __iter__(self) -> Iterator[Paired]:
-        due = None
-        for moment, images in self._instants():
+        begun = due = None
+        for again, images in self._instants():
             now = time.perf_counter()
             due = now if due is None or not self.rate else due + 1 / self.rate
+            begun = due if begun is None else begun
             if self.rate and now > due + 1 / self.rate:
                 for name, image in images.items():
                     self.dropped[name] += image is not None
                 continue
             time.sleep(max(due - now, 0.0))
-            yield Paired(moment, images, 0.0, due)
+            yield Paired(due - begun + again * AGAIN_S, images, 0.0, due)
 
-    def _instants(self) -> Iterator[tuple[float, dict[str, Image | None]]]:
-        frames, offset = self.recording.frames, 0.0
-        while True:
-            for frame, images in self.recording.images():
-                yield (
-                    self.recording.time(frame) + offset,
-                    {name: images.get(name) for name in self.recording.rig.cameras},
-                )
-            if not self.loop:
-                return
-            offset += (frames[-1] - frames[0] + 1) / self.recording.fps
+    def _instants(self) -> Iterator[tuple[int, dict[str, Image | None]]]:
+        """How often the recording has begun again, and the pictures."""
+        for again in count() if self.loop else range(1):
+            for _, images in self.recording.images():
+                yield again, {name: images.get(name) for name in self.recording.rig.cameras}

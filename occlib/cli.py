@@ -78,7 +78,7 @@ def build_parser() -> argparse.ArgumentParser:
     p.add_argument("--loop", action="store_true", help="play the recording again and again")
     p.add_argument("--address", default=ADDRESS, metavar="tcp://HOST:PORT", help=f"where ({ADDRESS}); port *: any")
     p.add_argument("--keys", metavar="FILE", help="the publisher's NAME.key_secret")
-    p.add_argument("--allow", metavar="DIR", help="the listeners' public keys, DIR/*.key")
+    p.add_argument("--allow", metavar="DIR", help="the listeners' public keys, DIR/*.key, read at the start")
     p.add_argument("--ros2", nargs="?", const=0, type=int, metavar="DOMAIN",
                    help="also as the ROS 2 topic /map, open to all in that domain (0)")  # fmt: skip
 
@@ -341,7 +341,9 @@ def _live(args: argparse.Namespace, stack: Any) -> tuple[Any, ...]:
 
 
 def listen(args: argparse.Namespace) -> int:
+    import threading
     import time
+    from concurrent.futures import ThreadPoolExecutor
 
     from occlib.broadcast import Listener
 
@@ -353,21 +355,28 @@ def listen(args: argparse.Namespace) -> int:
         raise ValueError(f"--timeout: expected seconds > 0, got {args.timeout}")
     if args.plot:
         import occlib.plotting  # noqa: F401  slow, and maps must not wait for it
-    drawn, message = -1.0, None
+    drawn, message, drawing = -1.0, None, None
     options = {"keys": args.keys, "server_key": args.server_key, "timeout_s": args.timeout}
-    with Listener(args.address, **options) as listener:
+    hint = threading.Timer(5.0, print, ["nothing yet: does the station run, are the keys right?"], {"file": sys.stderr})
+    hint.daemon = True
+    with Listener(args.address, **options) as listener, ThreadPoolExecutor(1) as beside:
         try:
             print(f"listening to {args.address}", file=sys.stderr, flush=True)
+            hint.start()
             for message in listener:
+                hint.cancel()
                 latency = 1e3 * (time.time() - message.t_capture)
                 print(_as_json(message, latency, args.maps) if args.json else _as_text(message, latency), flush=True)
-                if args.plot and time.monotonic() >= drawn + 1:
-                    _draw(message, args.plot)
-                    drawn = time.monotonic()
+                if args.plot and time.monotonic() >= drawn + 1 and (drawing is None or drawing.done()):
+                    if drawing is not None:
+                        drawing.result()  # the file may have failed
+                    drawing, drawn = beside.submit(_draw, message, args.plot), time.monotonic()
                 if listener.received == args.count:
                     break
         except KeyboardInterrupt:
             args.count = None  # how it ends
+        finally:
+            hint.cancel()
     if args.plot and message:
         _draw(message, args.plot)
     print(f"{listener.received} maps received, {listener.missed} missed, {listener.rejected} rejected", file=sys.stderr)

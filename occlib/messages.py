@@ -9,10 +9,25 @@ and nobody else does. Each message has three frames:
    whenever the publisher is; ``sequence``, 1, 2, ... in a session; ``t_capture`` and ``t_sent``, when the picture was taken
    and when the message left, in s since 1970-01-01 UTC; ``floor``, ``{"x": [min, max], "y": [min, max], "resolution"}`` in m
    as in ``rig.yaml``; ``width`` and ``height`` of the map in cells; ``objects``, a list of the entries of ``objects.jsonl``:
-   ``id``, ``x``, ``y``, ``vx``, ``vy``, ``area``, ``colour``, ``label``, ``hidden_in``;
+   ``id`` (whole number), ``x``, ``y`` (m), ``vx``, ``vy`` (m/s by the clock of ``t_capture``), ``area`` (m2), ``colour`` (``[r, g, b]``,
+   each 0 to 255), ``label`` (string or null), ``hidden_in`` (a list of cameras);
 2. the map, ``width * height`` int8, row by row, the row of the smallest ``y`` first, each with the smallest ``x`` first: the
    ``data`` of a ``nav_msgs/OccupancyGrid``, -1 unknown, 0 (free) to 100 (occupied). Not compressed: on loopback that costs
    more time than it saves.
+
+A sequence that is not one more than the last means that messages were lost, or that the last map came first; one that is not greater is a repeat. The last map has
+the times at which it was made and first sent. ``occlib broadcast`` publishes at ``tcp://127.0.0.1:5599`` unless told otherwise. A listener in ten lines::
+
+    import json, secrets, zmq
+
+    socket = zmq.Context().socket(zmq.SUB)
+    socket.subscribe(b"occlib/1/map")
+    socket.subscribe(b"occlib/1/last/" + secrets.token_hex(16).encode())
+    socket.connect("tcp://127.0.0.1:5599")
+    while True:
+        topic, header, cells = socket.recv_multipart()
+        header = json.loads(header)
+        print(header["sequence"], header["width"], header["height"], len(cells), header["objects"])
 
 Anything more, less or different is rejected. Beyond the machine itself every connection is encrypted and both ends are
 authenticated: CurveZMQ (https://rfc.zeromq.org/spec/26), see :func:`occlib.broadcast.keygen`.

@@ -32,7 +32,7 @@ from occlib.crowds import MaskExplainer, Simulation, random_crowd, union, uprigh
 from occlib.explaining import Cylinder
 from occlib.geometry import FloatArray, Floor, Mask
 from occlib.mapping import MapData, occupancy_map
-from occlib.navigation import Navigator, path_length_m, plan
+from occlib.navigation import Navigator, path_length_m, plan, shorten
 from occlib.pipeline import footprints
 from occlib.reservations import Point, Reservations, Trajectory, position_at
 from occlib.study import t_interval
@@ -306,10 +306,12 @@ def _gap(at: Point, polygon: FloatArray) -> float:
 
 
 def _detour(mission: Mission, paths: Sequence[Sequence[Point]], done: Sequence[bool]) -> float:
-    """Length driven over the shortest on the true map, of the robots that finished."""
+    """Length driven over the shortest on the true map, corners cut, of the robots that finished."""
     free = FLOOR.near(_footprints(mission.obstacles), RADIUS_M)
     ways = [plan(free, FLOOR, a, b) for a, b in zip(mission.starts, mission.goals, strict=True)]
-    shortest = sum(path_length_m(way) for way, ok in zip(ways, done, strict=True) if ok and way is not None)
+    shortest = sum(
+        path_length_m(shorten(way, free, FLOOR)) for way, ok in zip(ways, done, strict=True) if ok and way is not None
+    )
     driven = sum(path_length_m(np.array(path)) for path, ok in zip(paths, done, strict=True) if ok)
     return driven / shortest if shortest else math.nan
 

@@ -476,8 +476,8 @@ class Navigator:
         self, data: npt.NDArray[np.int8], floor: Floor, position_m: Point, others: Reservations, time_s: float
     ) -> Mask:
         """Where the robot's centre must not be, bool (ny, nx): the map without robots, inflated."""
-        if data.shape != floor.shape:
-            raise ValueError(f"data: expected shape {floor.shape}, got {data.shape}")
+        if data.shape != floor.shape or data.dtype != np.int8:
+            raise ValueError(f"data: expected int8 {floor.shape}, got {data.dtype} {data.shape}")
         obstacles = data >= self.occupied_from
         if not self.unknown_free:
             obstacles |= data < 0

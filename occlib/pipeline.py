@@ -454,7 +454,7 @@ class _Explainer:
             n: w.warp(cv2.GaussianBlur(backgrounds[n].image, (9, 9), 0)).mean(axis=2) for n, w in self.polar.items()
         }
         self.certain = {
-            n: (np.clip((l - 20) / 60, 0.15, 1) * how.background).astype(np.float32) for n, l in light.items()
+            n: (np.clip((l - 40) / 60, 0.05, 1) * how.background).astype(np.float32) for n, l in light.items()
         }
         self.coarse = Floor(rig.floor.x, rig.floor.y, max(how.grid_m, rig.floor.resolution))
         self.planes = {n: [FloorWarp(c, self.coarse, h) for h in PLANES_M] for n, c in rig.cameras.items()}

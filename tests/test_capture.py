@@ -275,7 +275,7 @@ def test_a_recording_plays_at_its_rate(tiny_recording: Path) -> None:
     assert time.perf_counter() - start >= 4 / 40 - 0.001
     times = [round(pair.time, 6) for pair in pairs]
     assert len(pairs) + player.dropped["left"] == 5
-    assert set(times) <= {0.0, 0.1, 0.2, 0.3, 0.4} and times == sorted(times)
+    assert set(times) <= {0.0, 0.025, 0.05, 0.075, 0.1} and times == sorted(times)  # by the clock of playing
     gaps = [(b.taken - a.taken) * 40 for a, b in pairwise(pairs)]
     assert gaps == pytest.approx([round(gap) for gap in gaps])  # due, whenever it was read
     assert all(start < pair.taken < time.perf_counter() and pair.skew_s == 0 for pair in pairs)
@@ -284,7 +284,9 @@ def test_a_recording_plays_at_its_rate(tiny_recording: Path) -> None:
 def test_as_fast_as_possible_and_again_and_again(tiny_recording: Path) -> None:
     player = Player(open_recording(tiny_recording), rate=0, loop=True)
     pairs = list(islice(player, 12))
-    assert [pair.time for pair in pairs] == pytest.approx([i / 10 for i in range(12)])
+    times, taken = np.array([pair.time for pair in pairs]), np.array([pair.taken for pair in pairs])
+    again = np.array([0] * 5 + [10] * 5 + [20] * 2)  # when all has to be forgotten
+    assert times - again == pytest.approx(taken - taken[0])
     assert player.dropped == {"left": 0, "right": 0}
     np.testing.assert_array_equal(pairs[1].images["left"], pairs[6].images["left"])
 
@@ -295,7 +297,7 @@ def test_what_is_overdue_is_skipped(tiny_recording: Path) -> None:
     instants = iter(player)
     next(instants)
     time.sleep(0.17)
-    assert next(instants).time == pytest.approx(0.3)
+    assert next(instants).time == pytest.approx(0.15)
     assert player.dropped == {"left": 2, "right": 1}
 
 

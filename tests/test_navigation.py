@@ -649,7 +649,7 @@ def test_wrong_settings_of_a_navigator_are_named(name: str, value: float, messag
 
 def test_a_navigator_names_what_does_not_fit() -> None:
     navigator = robot((1.0, 0.0))
-    with pytest.raises(ValueError, match=r"data: expected shape \(60, 80\), got \(6, 8\)"):
+    with pytest.raises(ValueError, match=r"data: expected int8 \(60, 80\), got int8 \(6, 8\)"):
         navigator.update(np.zeros((6, 8), np.int8), ROOM, (0.0, 0.0), Reservations(), 0.0)
     with pytest.raises(ValueError, match="start_m: expected a point on the floor"):
         navigator.update(picture(EMPTY, []), ROOM, (9.0, 0.0), Reservations(), 0.0)
