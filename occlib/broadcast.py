@@ -13,6 +13,7 @@ import os
 import re
 import secrets
 import socket
+import stat
 import struct
 import tempfile
 import threading
@@ -98,6 +99,8 @@ def _allowed(allowed: Keys | Iterable[Keys]) -> frozenset[bytes]:
 
 def _endpoint(address: str, *, secure: bool, listening: bool) -> str:
     """The address for ZeroMQ, if it stays on this machine or is ``secure``."""
+    if not isinstance(address, str):
+        raise ValueError(f"address: expected text, got {type(address).__name__}")
     if re.fullmatch(r"ipc://\S+", address):
         return address
     parts = re.fullmatch(r"tcp://(\[[0-9A-Fa-f:.]+\]|[\w.*-]+):(\*|[0-9]{1,5})", address, re.ASCII)
@@ -117,6 +120,18 @@ def _endpoint(address: str, *, secure: bool, listening: bool) -> str:
         except (OSError, UnicodeError):
             raise ValueError(f"address: unknown host {short(host)}") from None
     return f"tcp://{host}:{parts[2]}"
+
+
+def _check_unused(endpoint: str) -> None:
+    """ZeroMQ deletes whatever is at the path of an ipc address: only a socket that nobody answers may go."""
+    path = endpoint.removeprefix("ipc://")
+    if path == endpoint or path[0] in "@*" or not os.path.lexists(path):
+        return
+    if not stat.S_ISSOCK(os.lstat(path).st_mode):
+        raise ValueError(f"address: {short(path)} is there already, and is no socket")
+    with socket.socket(socket.AF_UNIX) as probe:
+        if probe.connect_ex(path) == 0:
+            raise ValueError(f"address: cannot publish at {short(endpoint)} (Address already in use)")
 
 
 class _Connected:
@@ -146,7 +161,8 @@ class Publisher(_Connected):
     """Sends maps to whoever listens, and never waits for anybody.
 
     A listener that is slow loses messages; one that is dead is forgotten; one that joins late gets the last map at once.
-    Whatever else reaches the port is ignored.
+    Whatever else reaches the port is ignored. Who is let in is trusted not to flood it: ZeroMQ bounds the size of a frame, but not the
+    number of subscriptions or of frames in a message.
 
     Parameters
     ----------
@@ -191,6 +207,7 @@ class Publisher(_Connected):
         endpoint = _endpoint(address, secure=keys is not None, listening=False)
         self._allowed = frozenset[bytes]() if allowed is None else _allowed(allowed)
         pair = None if keys is None else _load_key(keys, secret=True)
+        _check_unused(endpoint)
         super().__init__(zmq.XPUB, endpoint)
         self.session, self.sequence = secrets.token_hex(16), 0
         self._last: list[bytes] | None = None
@@ -365,6 +382,11 @@ class Listener(_Connected):
 
     def receive(self, timeout_s: float | None = None) -> Message | None:
         """The next message, or ``None`` if there is none for ``timeout_s`` seconds (``None``: wait for ever)."""
+        if self._socket.closed or (timeout_s is not None and math.isnan(timeout_s)):
+            what = (
+                "timeout_s: expected seconds, got nan" if not self._socket.closed else "listener: expected an open one"
+            )
+            raise ValueError(what)
         end = math.inf if timeout_s is None else time.monotonic() + timeout_s
         found, more = None, 4 * _QUEUE if self.latest else 0
         while found is None or more:

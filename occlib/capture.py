@@ -6,6 +6,7 @@ so each is read in a thread of its own, and the pictures that were taken at near
 
 from __future__ import annotations
 
+import threading
 import time
 from collections import deque
 from collections.abc import Iterator, Mapping
@@ -192,7 +193,7 @@ class Capture:
                     return None
                 waiting = [queue[0][0] for queue in self._queues.values() if queue]
                 left = min(waiting) + self.tolerance_s - time.perf_counter() if waiting else 0.1
-                self._news.wait(max(left, 0.001))
+                self._news.wait(min(max(left, 0.001), 0.1))
         return None
 
     def _group(self, now: float) -> dict[str, tuple[float, Image]]:
@@ -300,17 +301,19 @@ class Player:
         self.dropped = dict.fromkeys(recording.rig.cameras, 0)
 
     def __iter__(self) -> Iterator[Paired]:
-        begun = due = None
+        begun = due = back = None
         for again, images in self._instants():
             now = time.perf_counter()
             due = now if due is None or not self.rate else due + 1 / self.rate
             begun = due if begun is None else begun
-            if self.rate and now > due + 1 / self.rate:
+            if self.rate and back is not None and back > due + 1 / self.rate:
                 for name, image in images.items():
                     self.dropped[name] += image is not None
                 continue
-            time.sleep(max(due - now, 0.0))
+            due = max(due, now - 1 / self.rate) if self.rate else due  # what is read too slowly is late, not skipped
+            time.sleep(min(max(due - now, 0.0), threading.TIMEOUT_MAX))
             yield Paired(due - begun + again * AGAIN_S, images, 0.0, due)
+            back = time.perf_counter()
 
     def _instants(self) -> Iterator[tuple[int, dict[str, Image | None]]]:
         """How often the recording has begun again, and the pictures."""

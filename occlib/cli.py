@@ -319,6 +319,8 @@ def _played(args: argparse.Namespace, stack: Any) -> tuple[Any, ...]:
 
 def _live(args: argparse.Namespace, stack: Any) -> tuple[Any, ...]:
     """The same of live cameras, which are closed by the stack."""
+    from contextlib import ExitStack
+
     from occlib.capture import Capture, Device
     from occlib.foreground import average_background
     from occlib.geometry import Rig
@@ -333,10 +335,12 @@ def _live(args: argparse.Namespace, stack: Any) -> tuple[Any, ...]:
     if missing := [name for name in rig.cameras if name not in pictures]:
         raise ValueError(f"--background: {args.background} has no pictures of {', '.join(missing)}")
     devices = {}
-    for (name, camera), device in zip(rig.cameras.items(), args.device, strict=True):
-        devices[name] = Device(device, size=camera.size)
-        stack.callback(devices[name].release)
-    capture = stack.enter_context(Capture(devices, tolerance_s=args.tolerance))
+    with ExitStack() as opening:
+        for (name, camera), device in zip(rig.cameras.items(), args.device, strict=True):
+            devices[name] = Device(device, size=camera.size)
+            opening.callback(devices[name].release)
+        capture = stack.enter_context(Capture(devices, tolerance_s=args.tolerance))
+        opening.pop_all()  # from here on it is the capture that closes them, unless one hangs
     return rig, {name: average_background(images) for name, images in pictures.items()}, capture, None
 
 

@@ -7,7 +7,6 @@ occupied, in percent. What no camera sees is unknown, never free. Files are the 
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias
@@ -115,7 +114,7 @@ def inflate(grid: OccupancyMap, radius_m: float) -> OccupancyMap:
 def save_map(path: str | Path, grid: OccupancyMap, *, mode: str = "trinary") -> Path:
     """Write the picture, ``NAME.pgm`` or ``NAME.png``, then ``NAME.yaml`` beside it; return the latter's path.
 
-    :func:`load_map` gives back what was written, in every mode. So does nav2's ``map_server``; that of ROS 1 as well, but
+    :func:`load_map` gives back the same cells, in every mode; the far edges are then whole cells. So does nav2's ``map_server``; that of ROS 1 as well, but
     in mode ``"scale"`` it truncates, so that it reads 1 to 99 up to two lower.
 
     Parameters
@@ -281,6 +280,6 @@ def _origin(value: Any) -> tuple[float, float]:
 
 
 def _number(value: Any, name: str) -> float:
-    if not isinstance(value, int | float) or isinstance(value, bool) or not math.isfinite(value):
+    if not isinstance(value, int | float) or isinstance(value, bool) or not -1e308 <= value <= 1e308:
         raise ValueError(f"{name}: expected a finite number, got {value!r}")
     return float(value)

@@ -90,6 +90,8 @@ class Message:
     session: str
 
     def __post_init__(self) -> None:
+        if not isinstance(self.floor, Floor):
+            raise ValueError(f"floor: expected a Floor, got {type(self.floor).__name__}")
         _whole(self.sequence, "sequence", 1, _WHOLE)
         for name in ("t_capture", "t_sent"):
             object.__setattr__(self, name, _number(getattr(self, name), name, low=0.0))

@@ -103,6 +103,8 @@ def random_mission(seed: int, *, robots: int = 3, obstacles: int = 5) -> Mission
     >>> random_mission(3) == random_mission(3)
     True
     """
+    if robots < 1 or obstacles < 0 or seed < 0:
+        raise ValueError(f"robots, obstacles, seed: expected >= 1, 0 and 0, got {robots}, {obstacles} and {seed}")
     rng = np.random.default_rng([seed, robots, obstacles])
     for _ in range(1000):
         crowd = random_crowd(obstacles, rng, floor=FLOOR, gap=0.1)
@@ -135,6 +137,11 @@ def run_missions(missions: Sequence[Mission], maps: Sequence[str] = MAPS, *, pro
         raise ValueError(f"maps: expected some of {', '.join(MAPS)}, got {unknown[0]!r}")
     if len({len(mission.starts) for mission in missions}) != 1:
         raise ValueError("missions: expected one or more, with equally many robots")
+    for mission in missions:
+        ends = np.array([*mission.starts, *mission.goals], dtype=np.float64).reshape(-1, 2)
+        inside = ((ends > (FLOOR.x[0], FLOOR.y[0])) & (ends < (FLOOR.x[1], FLOOR.y[1]))).all()
+        if not mission.starts or len(mission.starts) != len(mission.goals) or not inside:
+            raise ValueError(f"missions: expected a start and a goal on the floor for each robot, got {ends.tolist()}")
     station = _Station()
     with Publisher() as publisher, _robots(len(missions[0].starts), publisher.address) as robots:
         jobs = [(mission, kind) for mission in missions for kind in maps]
@@ -148,6 +155,8 @@ def summary(outcomes: Sequence[Outcome]) -> pd.DataFrame:
     Columns: ``collisions``; ``arrive``, the share of robots that arrive; ``way``, over the shortest; ``refused (m²)``; and of the
     last three ``, low`` and ``, high``.
     """
+    if not outcomes:
+        raise ValueError("outcomes: expected one or more, got none")
     rows = {}
     for kind in dict.fromkeys(o.map for o in outcomes):
         own = [o for o in outcomes if o.map == kind]

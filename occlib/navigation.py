@@ -249,7 +249,7 @@ def _graph(blocked: Mask, floor: Floor, ends: FloatArray, reach_m: float, cell_m
     xy = np.vstack([np.column_stack([np.tile(xs, ny), np.repeat(ys, nx)]), ends])
     index, n = np.arange(nx * ny).reshape(ny, nx), nx * ny
     far, pairs = int(reach_m / cell_m + 1e-9), []
-    for dy in range(far + 1):
+    for dy in range(min(far, ny - 1) + 1):
         for dx in range(-far, far + 1):
             if (dy > 0 or dx > 0) and math.hypot(dx, dy) * cell_m <= reach_m + 1e-9 and abs(dx) < nx:
                 a, b = index[: ny - dy, max(0, -dx) : nx - max(0, dx)], index[dy:, max(0, dx) : nx + min(0, dx)]

@@ -538,8 +538,8 @@ def _template(label: str, picture: Any) -> tuple[Image, Mask | None]:
         )
     if picture.shape[2] == 3:
         return picture, None
-    if not picture[..., 3].any():
-        raise ValueError(f"templates[{label!r}]: expected pixels that are not transparent, got none")
+    if not (picture[..., 3] > 127).any():
+        raise ValueError(f"templates[{label!r}]: expected pixels that are more opaque than not, got none")
     return np.ascontiguousarray(picture[..., :3]), picture[..., 3] > 127
 
 

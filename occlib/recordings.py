@@ -79,6 +79,9 @@ def staged_folder(path: str | Path) -> Iterator[Path]:
             targets = [target / file.relative_to(temporary) for file in files]
             if blocked := [final for final in targets if final.is_dir()]:
                 raise ValueError(f"{blocked[0]}: cannot write (is a directory)")
+            parents = {p for final in targets for p in final.parents if p.is_relative_to(target)}
+            if blocked := sorted(p for p in parents if p.exists() and not p.is_dir()):
+                raise ValueError(f"{blocked[0]}: cannot write (a file is in the way of the folder)")
             for file, final in zip(files, targets, strict=True):
                 final.parent.mkdir(parents=True, exist_ok=True)
                 os.replace(file, final)
@@ -120,11 +123,9 @@ def read_templates(folder: str | Path) -> dict[str, Image]:
     """Pictures of known objects, ``LABEL.png``: ``{label: uint8 RGBA (H, W, 4)}``; what is transparent does not count."""
     templates = {}
     for path in sorted(Path(folder).glob("*.png")):
-        colours = read_image(path)
-        stored = cv2.imdecode(np.frombuffer(path.read_bytes(), np.uint8), cv2.IMREAD_UNCHANGED)
-        has_alpha = stored is not None and stored.ndim == 3 and stored.shape[2] == 4
-        alpha = stored[..., 3] if stored is not None and has_alpha else np.full(colours.shape[:2], 255)
-        templates[path.stem] = np.dstack([colours, alpha.astype(np.uint8)])
+        picture = read_image(path, alpha=True)
+        opaque = np.full((*picture.shape[:2], 1), 255, np.uint8)
+        templates[path.stem] = picture if picture.shape[2] == 4 else np.dstack([picture, opaque])
     if not templates:
         raise ValueError(f"{folder}: expected pictures named LABEL.png, found none")
     return templates

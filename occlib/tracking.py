@@ -246,7 +246,7 @@ class Tracker:
             Seconds, later than in the last call.
         identify
             The label of observation ``index``, if it is recognised; asked for those whose object has none. No two objects on the
-            floor get the same. What is recognised before it is confirmed gets the id again under which its label was last known.
+            floor get the same; what it raises passes through, and the frame is lost. What is recognised before it is confirmed gets the id again under which its label was last known.
 
         Raises
         ------
@@ -271,7 +271,14 @@ class Tracker:
                 track.update(seen, time, self.position_noise_m, self.acceleration_mps2)
             if track.label is None and identify is not None:
                 label = identify(index)
-                track.label = label if all(other.label != label for other in self._tracks) else None
+                held = next((other for other in self._tracks if label and other.label == label), None)
+                if held and held.id and not track.id and held.time < time and held not in assigned.values():
+                    # it only coasts, and is recognised elsewhere
+                    self.events.append(Event(time, held.id, "gone", f"seen again as {label}"))
+                    self._gone[label or ""] = held.id
+                    self._tracks.remove(held)
+                    held = None
+                track.label = label if held is None else None
             if track.id == 0 and (anew or time - track.since >= self.confirm_s - 1e-9):
                 self._confirm(track, time, anew)
             vectors.append(self._vector(track, time, seen))
@@ -284,7 +291,7 @@ class Tracker:
 
     def check_time(self, time: float) -> None:
         """Raise ``ValueError`` unless ``time`` is finite and later than in the last update."""
-        if not (math.isfinite(time) and time > self._time):
+        if not (time > self._time and abs(time) < 1e12):
             raise ValueError(f"time: expected finite seconds after {self._time}, got {time}")
 
     def _assign(self, observations: Sequence[Observation], time: float) -> dict[int, _Track]:

@@ -759,3 +759,28 @@ def test_wrong_keys(keys: Path, tmp_path: Path) -> None:
         Publisher(keys=secret)
     with pytest.raises(ValueError, match=r"keys, server_key .--keys, --server-key.: expected both or neither"):
         Listener("tcp://127.0.0.1:1", server_key=public)
+
+
+def test_ipc_neither_deletes_a_file_nor_takes_over(tmp_path: Path) -> None:
+    important = tmp_path / "important.txt"
+    important.write_text("kept")
+    with pytest.raises(ValueError, match="is there already, and is no socket"):
+        Publisher(f"ipc://{important}")
+    assert important.read_text() == "kept"
+    address = f"ipc://{tmp_path}/s"
+    with Publisher(address), pytest.raises(ValueError, match="Address already in use"):
+        Publisher(address)
+    with Publisher(address):  # what a dead one left behind does not matter
+        pass
+
+
+def test_a_closed_listener_and_wrong_types_are_named() -> None:
+    with Publisher() as publisher, Listener(publisher.address) as listener:
+        with pytest.raises(ValueError, match="timeout_s: expected seconds, got nan"):
+            listener.receive(float("nan"))
+        with pytest.raises(ValueError, match="floor: expected a Floor, got NoneType"):
+            publisher.send(np.zeros((2, 2), np.int8), None, [], 0.0)  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="listener: expected an open one"):
+        listener.receive(0.1)
+    with pytest.raises(ValueError, match="address: expected text, got int"):
+        Publisher(5599)  # type: ignore[arg-type]

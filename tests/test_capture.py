@@ -311,3 +311,16 @@ def test_a_camera_that_dropped_out(tiny_recording: Path) -> None:
 def test_a_wrong_rate(rate: float, tiny_recording: Path) -> None:
     with pytest.raises(ValueError, match="rate: expected instants a second >= 0"):
         Player(open_recording(tiny_recording), rate=rate)
+
+
+def test_what_is_read_too_slowly_is_late_and_not_skipped(tiny_recording: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    player = Player(open_recording(tiny_recording), rate=100)
+    instants = list(player._instants())
+
+    def slowly() -> Iterator[Any]:
+        for instant in instants:
+            time.sleep(0.03)
+            yield instant
+
+    monkeypatch.setattr(player, "_instants", slowly)
+    assert len(list(player)) == 5 and player.dropped == {"left": 0, "right": 0}

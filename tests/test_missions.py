@@ -102,6 +102,17 @@ def test_wrong_arguments() -> None:
         run_missions([CROSSING], ["two views"])
     with pytest.raises(ValueError, match="missions: expected one or more, with equally many robots"):
         run_missions([])
+    for wrong in (
+        Mission(0, (), (), ()),
+        Mission(0, (), ((0.0, 0.0),), ()),
+        Mission(0, (), ((9.0, 0.0),), ((0.0, 0.0),)),
+    ):
+        with pytest.raises(ValueError, match="missions: expected a start and a goal on the floor for each robot"):
+            run_missions([wrong])
+    with pytest.raises(ValueError, match="robots, obstacles, seed: expected"):
+        random_mission(0, robots=0)
+    with pytest.raises(ValueError, match="outcomes: expected one or more"):
+        summary([])
 
 
 def test_a_robot_that_dies_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:

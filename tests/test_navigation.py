@@ -653,3 +653,11 @@ def test_a_navigator_names_what_does_not_fit() -> None:
         navigator.update(np.zeros((6, 8), np.int8), ROOM, (0.0, 0.0), Reservations(), 0.0)
     with pytest.raises(ValueError, match="start_m: expected a point on the floor"):
         navigator.update(picture(EMPTY, []), ROOM, (9.0, 0.0), Reservations(), 0.0)
+
+
+@pytest.mark.parametrize("sides", [(3.0, 0.5), (0.5, 3.0)])
+def test_a_step_may_be_longer_than_the_floor_is_wide(sides: tuple[float, float]) -> None:
+    floor = Floor((0.0, sides[0]), (0.0, sides[1]), 0.05)
+    start, goal = (0.25, 0.25), (sides[0] - 0.25, sides[1] - 0.25)
+    found = plan_timed(np.zeros(floor.shape, bool), floor, start, goal, speed_mps=0.6, dt_s=1.0, radius_m=0.1)
+    assert found is not None and found[-1][1:] == pytest.approx(goal)

@@ -700,5 +700,7 @@ def test_templates_name_the_robots_and_bring_their_ids_back() -> None:
             assert math.dist(thing.position_m, place) < 0.1
     with pytest.raises(ValueError, match=r"templates\['x'\]: expected uint8 RGB or RGBA of 4 x 4 px"):
         Pipeline(recording.rig, backgrounds, templates={"x": np.zeros((2, 9, 3), np.uint8)})
+    with pytest.raises(ValueError, match="expected pixels that are more opaque than not, got none"):
+        Pipeline(recording.rig, backgrounds, templates={"x": np.full((9, 9, 4), 100, np.uint8)})
     with pytest.raises(ValueError, match="templates: expected rule explain"):
         Pipeline(recording.rig, backgrounds, settings_for("and"), templates)

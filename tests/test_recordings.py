@@ -720,3 +720,14 @@ def test_templates_are_read_with_what_counts_of_them(tmp_path: Path) -> None:
     assert (templates["whole"][..., 3] == 255).all()
     with pytest.raises(ValueError, match=r"nowhere: expected pictures named LABEL.png, found none"):
         read_templates(tmp_path / "nowhere")
+
+
+def test_a_file_in_the_way_of_a_folder_leaves_the_old_results(tmp_path: Path) -> None:
+    (tmp_path / "maps").write_text("a file")
+    (tmp_path / "map.pgm").write_text("old")
+    with pytest.raises(ValueError, match=r"maps: cannot write \(a file is in the way of the folder\)"):
+        with staged_folder(tmp_path) as stage:
+            (stage / "map.pgm").write_text("new")
+            (stage / "maps").mkdir()
+            (stage / "maps/0.pgm").write_text("new")
+    assert (tmp_path / "map.pgm").read_text() == "old"

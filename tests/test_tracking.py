@@ -286,3 +286,20 @@ def test_bad_observations_leave_the_tracker_as_it_was() -> None:
 def test_wrong_settings(name: str, value: float) -> None:
     with pytest.raises(ValueError, match=f"{name}: expected a finite number"):
         Tracker(**{name: value})
+
+
+def test_a_label_brings_its_id_back_from_coasting() -> None:
+    tracker = Tracker(confirm_s=0.2, max_missed_s=1.0)
+    tracker.update([at(0.0), at(5.0)], 0.0, {0: "red"}.get)
+    tracker.update([at(5.0)], 0.1)
+    for k in range(2, 5):  # red is elsewhere, far beyond the gate
+        moved, _ = tracker.update([at(3.0), at(5.0)], 0.1 * k, {0: "red"}.get)
+    assert (moved.id, moved.label) == (1, "red")
+    assert [event.reason for event in tracker.events[2:]] == ["seen again as red", "known as red"]
+    tracker.update([at(3.0), at(5.0), at(9.0)], 0.5, {2: "red"}.get)
+    assert [v.label for v in tracker.update([at(3.0), at(5.0), at(9.0)], 0.6)] == ["red", None, None]  # it is there
+
+
+def test_times_beyond_reason_are_refused() -> None:
+    with pytest.raises(ValueError, match="time: expected finite seconds"):
+        Tracker().update([], 1e100)
