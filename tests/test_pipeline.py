@@ -549,6 +549,11 @@ def test_ufes_lab_two_people_in_a_real_room(shared_data: Callable[[str], Path], 
     if cameras == ("cam2", "cam3"):
         assert moda["cam2+cam3"] >= 0.97 and moda["cam2+cam3 wide"] >= 0.90
         assert error["cam2+cam3"] <= 0.06
+    if cameras == ("cam1", "cam2", "cam3"):
+        assert moda["cam1+cam2+cam3"] >= 0.97
+        seen = [(f, thing) for f, things in detections["recommended"].items() if f >= 40 for thing in things]
+        inside = metrics.inside_polygon([(thing["x"], thing["y"]) for _, thing in seen], truth["roi"]["cam1+cam2+cam3"])
+        assert len({thing["id"] for (_, thing), there in zip(seen, inside, strict=True) if there}) <= 3  # two people
 
 
 @pytest.mark.parametrize("settings", [AND, settings_for()])
