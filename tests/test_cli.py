@@ -1098,7 +1098,7 @@ def test_wrong_broadcasts(tiny_recording: Path, tmp_path: Path, capsys: pytest.C
         ([tiny_recording, "--rate", "-1"], "rate: expected instants a second >= 0, got -1.0"),
         ([tiny_recording, "--rule", "x"], "rule: expected one of"),
         ([tiny_recording, "--address", "tcp://0.0.0.0:*"], "address: expected 127.0.0.1 without keys"),
-        ([tiny_recording, "--keys", tmp_path / "no"], "keys, allowed: expected both or neither"),
+        ([tiny_recording, "--keys", tmp_path / "no"], "keys, allowed (--keys, --allow): expected both or neither"),
         (
             [tiny_recording, "--keys", tmp_path / "no", "--allow", tiny_recording],
             "allowed: expected at least one public key",
