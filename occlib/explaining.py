@@ -111,31 +111,55 @@ def plausible(radius: float, height: float) -> bool:
 
 
 @compiled
-def silhouette(view: Any, columns: int, rows: int, x: float, y: float, radius: float, height: float, out: Any) -> Any:
-    """First and last + 1 column of a cylinder, and in ``out`` the first and last + 1 row of each."""
+def _span(view: Any, columns: int, x: float, y: float, radius: float) -> Any:
+    """First and last + 1 column of a disc on the floor, its distance and azimuth; no column if the camera hangs above it."""
     dx, dy = x - view[0], y - view[1]
     distance = np.hypot(dx, dy)
-    if distance <= radius * 1.02:
-        return 0, 0
     azimuth = (np.arctan2(dy, dx) - view[3] + np.pi) % (2 * np.pi) - np.pi
+    if distance <= radius * 1.02:
+        return 0, 0, distance, azimuth
     half = np.arcsin(radius / distance)
     first = max(int(np.ceil((azimuth - half - view[4]) / view[6])), 0)
     last = min(int(np.floor((azimuth + half - view[4]) / view[6])) + 1, columns)
+    return first, max(first, last), distance, azimuth
+
+
+@compiled
+def _edges(view: Any, column: int, distance: float, azimuth: float, radius: float) -> Any:
+    """How far in m the near and the far edge of the disc are in a column."""
+    turn = view[4] + column * view[6] - azimuth
+    chord = np.sqrt(max(radius * radius - (distance * np.sin(turn)) ** 2, 0.0))
+    return distance * np.cos(turn) - chord, distance * np.cos(turn) + chord
+
+
+@compiled
+def _foot(view: Any, near: float) -> Any:
+    """Last + 1 row of what stands at the near edge, and how many rows 12 cm are there."""
+    return int(np.floor((np.arctan2(view[2], near) - view[5]) / view[6])) + 1, int(
+        RIM_M / np.hypot(near, view[2]) / view[6]
+    )
+
+
+@compiled
+def _top(view: Any, near: float, far: float, height: float) -> int:
+    """First row: the far edge of the top, or the near one above the camera."""
+    above = view[2] - height
+    return int(np.ceil((np.arctan2(above, far if above > 0 else near) - view[5]) / view[6]))
+
+
+@compiled
+def silhouette(view: Any, columns: int, rows: int, x: float, y: float, radius: float, height: float, out: Any) -> Any:
+    """First and last + 1 column of a cylinder, and in ``out`` the first and last + 1 row of each, and of what is near it."""
+    first, last, distance, azimuth = _span(view, columns, x, y, radius)
     for column in range(first, last):
-        turn = view[4] + column * view[6] - azimuth
-        chord = np.sqrt(max(radius * radius - (distance * np.sin(turn)) ** 2, 0.0))
-        near, far = distance * np.cos(turn) - chord, distance * np.cos(turn) + chord
-        above = view[2] - height
-        top = np.arctan2(above, far if above > 0 else near)
-        low = int(np.ceil((top - view[5]) / view[6]))
-        high = int(np.floor((np.arctan2(view[2], near) - view[5]) / view[6])) + 1
-        low = min(max(low, 0), rows)
-        high = max(min(max(high, 0), rows), low)
+        near, far = _edges(view, column, distance, azimuth, radius)
+        foot, nearby = _foot(view, near)
+        low = min(max(_top(view, near, far, height), 0), rows)
+        high = max(min(max(foot, 0), rows), low)
         out[column - first, 0], out[column - first, 1] = low, high
         # what lies in front of the base and above the top, a hand's breadth: 12 cm, seen at this distance
-        nearby = int(RIM_M / np.hypot(near, view[2]) / view[6])
         out[column - first, 2], out[column - first, 3] = max(low - nearby, 0), min(high + nearby, rows)
-    return first, max(first, last)
+    return first, last
 
 
 @compiled
@@ -256,27 +280,79 @@ def _refined(at: Any, sums: Any, thing: Any, cost: float, step0: float) -> Any:
 
 @compiled
 def _candidates(at: Any, sums: Any, places: Any, cost: float) -> Any:
-    """For each place and radius the best height, where there is one: cylinders (N, 4) and what they explain (N,)."""
+    """For each place and radius the best height, where there is one: cylinders (N, 4) and what they explain (N,).
+
+    What does not depend on the height is worked out once; the values are those of :func:`gain`. The search goes up until
+    what the columns hold at most would no longer pay for what is covered.
+    """
+    most = _most(at, sums)
     things, values, n = np.empty((len(places) * len(RADII), 4)), np.empty(len(places) * len(RADII)), 0
-    thing = np.empty(4)
+    spans = np.empty((len(at.views), 2), np.int64)
+    edges = np.empty((len(at.views), at.weights.shape[2], 2))
+    feet = np.empty((len(at.views), at.weights.shape[2], 2), np.int64)
     for i in range(len(places)):
         for radius in RADII:
+            bound = 0.0
+            for k in range(len(at.views)):
+                first, last, distance, azimuth = _span(at.views[k], at.sizes[k, 0], places[i, 0], places[i, 1], radius)
+                spans[k] = first, last
+                for column in range(first, last):
+                    edges[k, column] = _edges(at.views[k], column, distance, azimuth, radius)
+                    feet[k, column] = _foot(at.views[k], edges[k, column, 0])
+                    bound += most[k, column] * at.views[k, 7]
+            bound *= 1 + 1e-9  # rounding
             best, falling = 0.0, 0
             for height in HEIGHTS:
                 if not plausible(radius, height):
                     continue
-                thing[0], thing[1], thing[2], thing[3] = places[i, 0], places[i, 1], radius, height
-                value = _gain(at, sums, thing, cost)
+                value, area = _gain_at(at, sums, spans, edges, feet, height, cost)
                 if value > best:
                     if best == 0.0:
                         n += 1
                     best, falling = value, 0
-                    things[n - 1], values[n - 1] = thing, value
+                    things[n - 1, 0], things[n - 1, 1] = places[i, 0], places[i, 1]
+                    things[n - 1, 2], things[n - 1, 3] = radius, height
+                    values[n - 1] = value
                 elif best > 0:
                     falling += 1
                     if falling >= 4:
                         break
+                if bound - cost * area <= best:
+                    break
     return things[:n], values[:n]
+
+
+@compiled
+def _most(at: Any, sums: Any) -> Any:
+    """The most that any run of rows explains in each column, (K, columns)."""
+    most = np.zeros(at.weights.shape[::2])
+    for k in range(len(most)):
+        for column in range(at.sizes[k, 0]):
+            least = sums[k, 0, column]
+            for row in range(1, at.sizes[k, 1] + 1):
+                least = min(least, sums[k, row, column])
+                most[k, column] = max(most[k, column], (sums[k, row, column] - least) / 255.0)
+    return most
+
+
+@compiled
+def _gain_at(at: Any, sums: Any, spans: Any, edges: Any, feet: Any, height: float, cost: float) -> Any:
+    """:func:`gain` of a cylinder of which only the height is new, and the area that it covers."""
+    total, area = 0.0, 0.0
+    for k in range(len(at.views)):
+        rows = at.sizes[k, 1]
+        explained, covered, beyond = 0, 0, 0
+        for column in range(spans[k, 0], spans[k, 1]):
+            low = min(max(_top(at.views[k], edges[k, column, 0], edges[k, column, 1], height), 0), rows)
+            high = max(min(max(feet[k, column, 0], 0), rows), low)
+            explained += sums[k, high, column] - sums[k, low, column]
+            covered += at.seen[k, high, column] - at.seen[k, low, column]
+            nearby = feet[k, column, 1]
+            beyond += max(sums[k, low, column] - sums[k, max(low - nearby, 0), column], 0)
+            beyond += max(sums[k, min(high + nearby, rows), column] - sums[k, high, column], 0)
+        total += (explained / 255.0 - beyond / 255.0) * at.views[k, 7]
+        area += covered * at.views[k, 7]
+    return total - cost * area, area
 
 
 @compiled

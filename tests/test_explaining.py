@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from collections.abc import Sequence
 from functools import cache
 from typing import Any
@@ -19,6 +20,8 @@ from occlib.explaining import (
     Cylinder,
     Explanation,
     PolarEvidence,
+    _candidates,
+    _Search,
     cover,
     explain,
     gain,
@@ -389,6 +392,33 @@ def test_two_cameras_and_crossing_sight_lines_give_no_ghost() -> None:
     away = np.min([np.hypot(*(places - [t.x, t.y]).T) - t.radius for t in planted], axis=0)
     assert (away > 0.1).any()  # AND alone would not know better
     assert_found(explain(evidence, places), planted)
+
+
+@pytest.mark.parametrize(("seed", "share"), [(0, 0.5), (1, 0.2), (2, 0.05), (3, 0.0)])
+def test_the_candidates_are_those_of_the_plain_search(seed: int, share: float) -> None:
+    """Every height of every place and radius by ``gain``, from low to high until four in a row were worse than the best."""
+    here, rng = watch(THREE), np.random.default_rng(seed)
+    noise = np.stack([cv2.GaussianBlur(rng.normal(size=seen.shape), (0, 0), 9) for seen in here.seen])
+    weights = np.where(noise > np.quantile(noise, 1 - share), 255, -150).astype(np.int32) * here.seen
+    sums, seen = running_sums(weights), running_sums(here.seen)
+    runs, found = np.empty((weights.shape[2] + 1, 4), np.int64), np.empty(3)
+    at = _Search(here.views, here.sizes, weights, sums, seen, weights.copy(), sums.copy(), runs, found)
+    places = rng.uniform((-2, -1.5), (2, 1.5), (25, 2))
+    plain = []
+    for (x, y), radius in itertools.product(places, RADII):
+        tried, best = [], 0.0
+        for height in (h for h in HEIGHTS if plausible(radius, h)):
+            thing = np.array([x, y, radius, height])
+            tried.append((gain(here.views, here.sizes, sums, seen, thing, 0.15, runs, found), *thing))
+            best = max(best, tried[-1][0])
+            if best > 0 and len(tried) > 4 and best not in [value for value, *_ in tried[-4:]]:
+                break
+        if best > 0:
+            plain.append(max(tried, key=lambda one: one[0]))
+    things, values = _candidates(at, sums, places, 0.15)
+    assert len(plain) == len(values) and (len(plain) > 5 or share < 0.1)
+    np.testing.assert_allclose(things, np.array([thing for _, *thing in plain]).reshape(-1, 4))
+    np.testing.assert_allclose(values, [value for value, *_ in plain], rtol=1e-9)
 
 
 def test_nothing_seen_is_nothing_there() -> None:
