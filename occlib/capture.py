@@ -6,14 +6,13 @@ so each is read in a thread of its own, and the pictures that were taken at near
 
 from __future__ import annotations
 
-import threading
 import time
 from collections import deque
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from itertools import count
 from pathlib import Path
-from threading import Condition, Event, Thread
+from threading import TIMEOUT_MAX, Condition, Event, Thread
 from typing import Any, Protocol, Self
 
 import cv2
@@ -311,7 +310,7 @@ class Player:
                     self.dropped[name] += image is not None
                 continue
             due = max(due, now - 1 / self.rate) if self.rate else due  # what is read too slowly is late, not skipped
-            time.sleep(min(max(due - now, 0.0), threading.TIMEOUT_MAX))
+            time.sleep(min(max(due - now, 0.0), TIMEOUT_MAX))
             yield Paired(due - begun + again * AGAIN_S, images, 0.0, due)
             back = time.perf_counter()
 

@@ -186,18 +186,14 @@ def drive_together(
     """
     brains = {name: Navigator(goal, radius_m=RADIUS_M, speed_mps=SPEED_MPS) for name, (_, goal) in ends_m.items()}
     tracks = {name: [start] for name, (start, _) in ends_m.items()}
-    said: dict[str, Trajectory] = {name: [(0.0, *start)] for name, (start, _) in ends_m.items()}
+    said: dict[str, dict[str, Any]] = {name: {"trajectory": [(0.0, *start)]} for name, (start, _) in ends_m.items()}
     for now in np.arange(0, time_limit_s, STEP_S).tolist():
         for name, brain in brains.items():
-            others, higher = Reservations(), True
-            for other in brains:
-                higher = higher and other != name
-                if other != name:
-                    intention = brains[other].intention if higher else None
-                    others.reserve(other, said[other], RADIUS_M, intention=intention or None)
-            said[name] = brain.update(data, floor, tracks[name][-1], others, now)
+            others = _reservations(_announced(said, list(brains), name))
+            trajectory = brain.update(data, floor, tracks[name][-1], others, now)
+            said[name] = {"trajectory": trajectory, "intention": brain.intention}
         for name, track in tracks.items():
-            track.append(position_at(said[name], now + STEP_S))
+            track.append(position_at(said[name]["trajectory"], now + STEP_S))
     return {name: np.array(track) for name, track in tracks.items()}
 
 
@@ -239,9 +235,9 @@ def _bodies(positions: Sequence[Point]) -> list[SceneObject]:
 
 def _drive(mission: Mission, kind: str, station: _Station, publisher: Publisher, robots: Sequence[_Robot]) -> Outcome:
     """One mission on one kind of map."""
-    names = list(range(len(mission.starts)))
+    names, daring = list(range(len(mission.starts))), kind.endswith("unknown free")
     for k in names:
-        robots[k].ask({"goal": mission.goals[k], "unknown_free": kind.endswith("unknown free")})
+        robots[k].ask({"goal": mission.goals[k], "unknown_free": daring})
     station.things = []
     outlines = [thing.footprint(0) for thing in mission.obstacles]
     still, under = station.masks(mission.obstacles), _footprints(mission.obstacles)
@@ -252,21 +248,13 @@ def _drive(mission: Mission, kind: str, station: _Station, publisher: Publisher,
         bodies = _bodies(positions)
         moving, true = station.masks(bodies), under | _footprints(bodies)
         data = station.map(kind, {name: still[name] | moving[name] for name in still}, true)
-        wrong = (data > 0) | (data < 0) & (not kind.endswith("unknown free"))
+        wrong = (data > 0) | (data < 0) & (not daring)
         first = data if first is None else first
         blocked.append(float((wrong & ~true).sum()) * FLOOR.cell_area)
         sequence = publisher.send(data, FLOOR, [], time.time()).sequence
         rank = sorted(names, key=lambda k: plans[k]["arrived"])  # who has arrived makes way
-        for place, k in enumerate(rank):
-            others = [
-                {
-                    "name": str(j),
-                    "trajectory": plans[j]["trajectory"],
-                    "intention": plans[j].get("intention") if i < place else None,
-                }
-                for i, j in enumerate(rank)
-                if j != k
-            ]
+        for k in rank:
+            others = _announced(plans, rank, k)
             plans[k] = robots[k].ask({"sequence": sequence, "time": now, "position": positions[k], "others": others})
         touched |= _touching(outlines, [p["trajectory"] for p in plans], now)
         now += STEP_S
@@ -290,6 +278,20 @@ def _drive(mission: Mission, kind: str, station: _Station, publisher: Publisher,
         [np.array(path) for path in paths],
         first,
     )
+
+
+def _announced(said: Any, rank: Sequence[Any], own: Any) -> list[dict[str, Any]]:
+    """What the other robots have said, for one of them: intentions only of those of higher rank."""
+    place = rank.index(own)
+    return [
+        {
+            "name": str(other),
+            "trajectory": said[other]["trajectory"],
+            "intention": said[other].get("intention") if i < place else None,
+        }
+        for i, other in enumerate(rank)
+        if i != place
+    ]
 
 
 def _touching(outlines: Sequence[FloatArray], plans: Sequence[Trajectory], now: float) -> set[tuple[int, int]]:
@@ -388,10 +390,15 @@ def _robot(address: str) -> None:
             print(json.dumps(answer), flush=True)
 
 
-def _answer(navigator: Navigator, data: MapData, floor: Floor, order: dict[str, Any]) -> dict[str, Any]:
+def _reservations(announced: Sequence[dict[str, Any]]) -> Reservations:
     others = Reservations()
-    for other in order["others"]:
+    for other in announced:
         others.reserve(other["name"], other["trajectory"], RADIUS_M, intention=other["intention"])
+    return others
+
+
+def _answer(navigator: Navigator, data: MapData, floor: Floor, order: dict[str, Any]) -> dict[str, Any]:
+    others = _reservations(order["others"])
     navigator.update(data, floor, tuple(order["position"]), others, order["time"])
     return {"trajectory": navigator.trajectory, "intention": navigator.intention, "arrived": navigator.arrived}
 

@@ -250,9 +250,8 @@ class Pipeline:
             occupied = self._fused(views, "and" if self._explainer else self.settings.rule)
         if self._explainer:
             things = self._explainer.explain({name: (e[0], e[1]) for name, e in evidence.items()})
-            near = (
-                occupied  # beside an object a quarter of the evidence is enough: its dark rim must not pass for shadow
-            )
+            near = occupied
+            # beside an object a quarter of the evidence is enough: its dark rim must not pass for shadow
             if self.settings.threshold == "evidence":
                 near = self._fused({name: picture > SURE // 4 for name, picture in floor.items()}, "and")
             labels, seen, hidden, by = self._explained(things, near, frames)

@@ -269,16 +269,8 @@ class Tracker:
                 self._tracks.append(track)
             else:
                 track.update(seen, time, self.position_noise_m, self.acceleration_mps2)
-            if track.label is None and identify is not None:
-                label = identify(index)
-                held = next((other for other in self._tracks if label and other.label == label), None)
-                if held and held.id and not track.id and held.time < time and held not in assigned.values():
-                    # it only coasts, and is recognised elsewhere
-                    self.events.append(Event(time, held.id, "gone", f"seen again as {label}"))
-                    self._gone[label or ""] = held.id
-                    self._tracks.remove(held)
-                    held = None
-                track.label = label if held is None else None
+            if track.label is None and identify is not None and (label := identify(index)):
+                self._name(track, label, time, set(assigned.values()))
             if track.id == 0 and (anew or time - track.since >= self.confirm_s - 1e-9):
                 self._confirm(track, time, anew)
             vectors.append(self._vector(track, time, seen))
@@ -321,6 +313,22 @@ class Tracker:
         ]
         return time - self._time > self.max_missed_s or 2 * len(again) <= len(known)
 
+    def _name(self, track: _Track, label: str, time: float, seen: set[_Track]) -> None:
+        """Label a track, unless another has that label; one that only coasts gives it up to a candidate, with its id."""
+        held = next((other for other in self._tracks if other.label == label), None)
+        if held and held.id and not track.id and held.time < time and held not in seen:
+            self._leave(held, time, f"seen again as {label}")
+            self._tracks.remove(held)
+            held = None
+        if held is None:
+            track.label = label
+
+    def _leave(self, track: _Track, time: float, reason: str) -> None:
+        """Log that a confirmed object is gone; its label keeps its id."""
+        self.events.append(Event(time, track.id, "gone", reason))
+        if track.label:
+            self._gone[track.label] = track.id
+
     def _confirm(self, track: _Track, time: float, anew: bool) -> None:
         """Give a candidate its id: the one that its label had before, or the next."""
         known = self._gone.pop(track.label, None) if track.label else None
@@ -334,12 +342,10 @@ class Tracker:
         """Drop the tracks that are unseen for too long, and candidates at once."""
         gone = [t for t in self._tracks if t not in seen and (t.id == 0 or time - t.time > self.max_missed_s)]
         for track in gone:
-            if track.id == 0:
+            if track.id:
+                self._leave(track, time, f"unseen for {time - track.time:.2g} s")
+            else:
                 self.rejected += 1
-                continue
-            self.events.append(Event(time, track.id, "gone", f"unseen for {time - track.time:.2g} s"))
-            if track.label:
-                self._gone[track.label] = track.id
         self._tracks = [track for track in self._tracks if track not in gone]
 
     def _vector(self, track: _Track, time: float, seen: Observation | None = None) -> ObjectVector:

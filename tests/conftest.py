@@ -6,6 +6,7 @@ Files are written with OpenCV alone, so that a wrong channel order or layout in 
 
 from __future__ import annotations
 
+import builtins
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -130,3 +131,20 @@ def shared_data() -> Callable[[str], Path]:
         return SHARED / name
 
     return find
+
+
+@pytest.fixture
+def hide_package(monkeypatch: pytest.MonkeyPatch) -> Callable[[str], None]:
+    """``hide_package(name)``: from now on the package cannot be imported, as if it were not installed."""
+
+    def hide(package: str) -> None:
+        real = builtins.__import__
+
+        def without(name: str, *args: Any, **options: Any) -> Any:
+            if name.startswith(package):
+                raise ImportError(name)
+            return real(name, *args, **options)
+
+        monkeypatch.setattr(builtins, "__import__", without)
+
+    return hide

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import builtins
 import hashlib
 import sqlite3
 import struct
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -237,15 +236,8 @@ def test_times_that_no_stamp_can_hold(tmp_path: Path, time_s: float) -> None:
     assert not list(tmp_path.iterdir())
 
 
-def test_without_the_extra_the_error_names_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    real = builtins.__import__
-
-    def no_rosbags(name: str, *args: Any, **options: Any) -> Any:
-        if name.startswith("rosbags"):
-            raise ImportError(name)
-        return real(name, *args, **options)
-
-    monkeypatch.setattr(builtins, "__import__", no_rosbags)
+def test_without_the_extra_the_error_names_it(tmp_path: Path, hide_package: Callable[[str], None]) -> None:
+    hide_package("rosbags")
     with pytest.raises(ValueError, match=r'^bags need the package rosbags: pip install "occlib\[ros\]"$'):
         save_bag(tmp_path / "map", maps())
 

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import builtins
 import json
 import os
 import subprocess
 import sys
 import textwrap
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -105,17 +105,10 @@ def test_the_quality_of_service_is_that_of_map_server() -> None:
     assert isinstance(latched()[Policy.Reliability], Policy.Reliability.Reliable)
 
 
-def test_wrong_domains_and_a_missing_extra_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_wrong_domains_and_a_missing_extra_are_named(hide_package: Callable[[str], None]) -> None:
     for domain in (-1, 233, 1.5, True):
         with pytest.raises(ValueError, match="domain: expected a ROS_DOMAIN_ID from 0 to 232"):
             MapTopic(domain=domain)  # type: ignore[arg-type]
-    real = builtins.__import__
-
-    def no_cyclone(name: str, *args: Any, **options: Any) -> Any:
-        if name.startswith("cyclonedds"):
-            raise ImportError(name)
-        return real(name, *args, **options)
-
-    monkeypatch.setattr(builtins, "__import__", no_cyclone)
+    hide_package("cyclonedds")
     with pytest.raises(ValueError, match=r'^the topic needs the package cyclonedds: pip install "occlib\[ros2\]"$'):
         MapTopic()
