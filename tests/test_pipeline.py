@@ -18,11 +18,22 @@ from occlib import metrics
 from occlib.foreground import Background, otsu_threshold, smooth, subtract_background
 from occlib.geometry import Camera, Floor, Rig
 from occlib.localization import find_regions
-from occlib.mapping import BLIND, DISAGREE, ONE_VIEW, load_map, save_map
+from occlib.mapping import BLIND, DISAGREE, ONE_VIEW, UNCONFIRMED, load_map, save_map
 from occlib.occlusion import fuse
-from occlib.pipeline import HIDDEN, PROFILES, FrameResult, Pipeline, Settings, _box, backgrounds_of, settings_for
+from occlib.pipeline import (
+    HIDDEN,
+    PROFILES,
+    FrameResult,
+    Pipeline,
+    Settings,
+    _box,
+    _confirmed_first,
+    backgrounds_of,
+    settings_for,
+)
 from occlib.recordings import LAB, open_recording
 from occlib.registration import FloorWarp
+from occlib.tracking import ObjectVector
 
 Array = np.ndarray[Any, Any]
 Draw = Callable[[Sequence[Any]], dict[str, Array]]
@@ -709,3 +720,28 @@ def test_templates_name_the_robots_and_bring_their_ids_back() -> None:
         Pipeline(recording.rig, backgrounds, templates={"x": np.full((9, 9, 4), 100, np.uint8)})
     with pytest.raises(ValueError, match="templates: expected rule explain"):
         Pipeline(recording.rig, backgrounds, settings_for("and"), templates)
+
+
+def test_what_is_new_is_unknown_until_it_is_confirmed(tiny_rig: Rig, draw: Draw) -> None:
+    known = [box(0.8, 0.8), box(3.0, 0.9, colour=(20, 20, 60))]
+    new = box(1.9, 2.2, colour=(30, 120, 40))
+    pipeline = Pipeline(tiny_rig, draw([]))
+    ix, iy = np.rint(tiny_rig.floor.cells([[1.9, 2.2]])[0]).astype(int)
+    for k in range(6):
+        result = pipeline.process(draw(known if k < 2 else [*known, new]), 0.1 * k)
+        confirmed = k >= 4  # seen for 0.2 s
+        assert len(result.objects) == len(result.hidden_by) == len(set(result.labels[result.labels > 0].tolist()))
+        assert len(result.objects) == (3 if confirmed else 2) and all(thing.id > 0 for thing in result.objects)
+        for number, thing in enumerate(result.objects, start=1):
+            x, y = np.rint(tiny_rig.floor.cells([thing.position_m])[0]).astype(int)
+            assert result.labels[y, x] == number
+        if k >= 2:
+            cell = result.map.data[iy, ix], result.reason[iy, ix]
+            assert cell == ((100, 0) if confirmed else (-1, UNCONFIRMED))
+
+
+def test_confirmed_objects_are_numbered_without_the_candidates() -> None:
+    objects = [ObjectVector(identity, (0.0, 0.0), (0.0, 0.0), 0.1, (0, 0, 0)) for identity in (0, 5, 0, 6)]
+    labels, candidates = _confirmed_first(np.array([[0, 1, 2, 3, 4]], np.int32), objects)
+    assert labels.tolist() == [[0, 0, 1, 0, 2]] and labels.dtype == np.int32
+    assert candidates.tolist() == [[False, True, False, True, False]]
