@@ -387,7 +387,7 @@ class Pipeline:
         if self.settings.remove_ghosts and len(views) > 1 and regions:
             real = np.nanmin(hidden, axis=1) < 0.5
             if not real.all():
-                renumber = np.concatenate([[0], np.where(real, np.cumsum(real), 0)]).astype(np.int32)
+                renumber = _new_labels(real)
                 labels, hidden = renumber[labels], hidden[real]
                 regions = [replace(r, label=int(renumber[r.label])) for r in regions if renumber[r.label]]
         return labels, regions, hidden
@@ -522,10 +522,16 @@ def _confirmed_first(
     labels: npt.NDArray[np.int32], objects: Sequence[ObjectVector]
 ) -> tuple[npt.NDArray[np.int32], Mask]:
     """Labels of the confirmed objects alone, renumbered, and the cells of the others."""
-    real = np.array([False] + [thing.id > 0 for thing in objects])
-    if real[1:].all():
+    real = np.array([thing.id > 0 for thing in objects], bool)
+    if real.all():
         return labels, np.zeros(labels.shape, bool)
-    return np.where(real, np.cumsum(real), 0).astype(np.int32)[labels], (labels > 0) & ~real[labels]
+    confirmed = _new_labels(real)[labels]
+    return confirmed, (labels > 0) & (confirmed == 0)
+
+
+def _new_labels(kept: Mask) -> npt.NDArray[np.int32]:
+    """The new label of each old one, 0 to n: 1, 2, ... for what is kept, 0 for the rest."""
+    return np.concatenate([[0], np.where(kept, np.cumsum(kept), 0)]).astype(np.int32)
 
 
 def _template(label: str, picture: Any) -> tuple[Image, Mask | None]:
