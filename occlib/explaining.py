@@ -37,9 +37,15 @@ HEIGHTS = np.array([0.04, 0.06, 0.09, 0.13, 0.18, 0.24, 0.32, 0.42, 0.55, 0.72, 
 """Sizes tried at first, in m; the best are then refined freely between the limits of :func:`plausible`."""
 
 
-PERSON_M = 1.2
-"""What is as tall as a person has arms, legs and bags: nothing low within 0.5 m of its axis, nor anything tall within 0.3 m, is an
-object of its own."""
+PERSON_M = 1.4
+"""What is as tall is a body. It has arms, legs and bags: nothing low within 0.5 m of its axis, nor anything tall within 0.3 m, is
+an object of its own."""
+CHIN, LEGS, HEAD = 0.87, 0.4, 0.83
+"""A body's shares of its height from which there is only a head, and up to which legs may be apart (Drillis and Contini 1966 have
+the chin at 0.870, knee and hip at 0.285 and 0.530); where its chord is shorter than this share of its width, there need be no head."""
+FEET_M, SPREAD_M, LEGS_M2, FEET_TRUST = 0.35, 0.4, 0.08, 4.0
+"""Where a body's feet are looked for: so high above the floor and so far to the sides of its axis, in m; what two legs show there, in
+m2; and by how much a view that shows them is trusted more than the axis (8 cm against 4 cm)."""
 RIM_M = 0.12
 """Foreground that goes on within so many m in front of an object's base or above its top counts against the object: it begins
 where its silhouette begins. A ghost floats in the silhouettes of others."""
@@ -149,7 +155,8 @@ def _top(view: Any, near: float, far: float, height: float) -> int:
 
 @compiled
 def silhouette(view: Any, columns: int, rows: int, x: float, y: float, radius: float, height: float, out: Any) -> Any:
-    """First and last + 1 column of a cylinder, and in ``out`` the first and last + 1 row of each, and of what is near it."""
+    """First and last + 1 column of a cylinder, and in ``out`` (columns + 1, 6) rows of each: the first and last + 1, the same of what
+    is near it, the first below a head and the first of legs."""
     first, last, distance, azimuth = _span(view, columns, x, y, radius)
     for column in range(first, last):
         near, far = _edges(view, column, distance, azimuth, radius)
@@ -159,7 +166,33 @@ def silhouette(view: Any, columns: int, rows: int, x: float, y: float, radius: f
         out[column - first, 0], out[column - first, 1] = low, high
         # what lies in front of the base and above the top, a hand's breadth: 12 cm, seen at this distance
         out[column - first, 2], out[column - first, 3] = max(low - nearby, 0), min(high + nearby, rows)
+        out[column - first, 4], out[column - first, 5] = _limbs(view, near, far, radius, height, low, high)
     return first, last
+
+
+@compiled
+def _limbs(view: Any, near: float, far: float, radius: float, height: float, low: int, high: int) -> Any:
+    """In a column of a cylinder, rows ``low`` to ``high``, the first row of its trunk and of its legs, if it is a body."""
+    if height < PERSON_M:
+        return low, high
+    trunk = low
+    if far - near < HEAD * 2 * radius:
+        trunk = min(max(_top(view, near, far, CHIN * height), low), high)
+    return trunk, min(max(_top(view, near, near, LEGS * height), trunk), high)
+
+
+@compiled
+def _column(
+    sums: Any, seen: Any, k: int, column: int, low: int, high: int, above: int, below: int, trunk: int, legs: int
+) -> Any:
+    """What a column of a cylinder explains, the samples that it covers, and the foreground that goes on beyond it."""
+    beyond = max(sums[k, below, column] - sums[k, high, column], 0)
+    if sums[k, trunk, column] <= sums[k, low, column]:  # no head here
+        low, above = trunk, above + trunk - low
+    if sums[k, high, column] <= sums[k, legs, column]:  # no leg
+        high = legs
+    beyond += max(sums[k, low, column] - sums[k, above, column], 0)
+    return sums[k, high, column] - sums[k, low, column], seen[k, high, column] - seen[k, low, column], beyond
 
 
 @compiled
@@ -170,11 +203,11 @@ def gain(views: Any, sizes: Any, sums: Any, seen: Any, thing: Any, cost: float, 
         first, last = silhouette(views[k], sizes[k, 0], sizes[k, 1], thing[0], thing[1], thing[2], thing[3], runs)
         explained, covered, beyond = 0, 0, 0
         for column in range(first, last):
-            low, high = runs[column - first, 0], runs[column - first, 1]
-            explained += sums[k, high, column] - sums[k, low, column]
-            covered += seen[k, high, column] - seen[k, low, column]
-            beyond += max(sums[k, low, column] - sums[k, runs[column - first, 2], column], 0)
-            beyond += max(sums[k, runs[column - first, 3], column] - sums[k, high, column], 0)
+            run = runs[column - first]
+            evidence, samples, more = _column(sums, seen, k, column, run[0], run[1], run[2], run[3], run[4], run[5])
+            explained += evidence
+            covered += samples
+            beyond += more
         distance = np.hypot(thing[0] - views[k, 0], thing[1] - views[k, 1])
         part = explained / 255.0
         total += (part - beyond / 255.0) * views[k, 7]
@@ -301,11 +334,13 @@ def _candidates(at: Any, sums: Any, places: Any, cost: float) -> Any:
                     feet[k, column] = _foot(at.views[k], edges[k, column, 0])
                     bound += most[k, column] * at.views[k, 7]
             bound *= 1 + 1e-9  # rounding
-            best, falling = 0.0, 0
+            best, falling, low = 0.0, 0, True
             for height in HEIGHTS:
-                if not plausible(radius, height):
+                if not plausible(radius, height) or not (low or height >= PERSON_M):
                     continue
-                value, area = _gain_at(at, sums, spans, edges, feet, height, cost)
+                if bound <= best:
+                    break
+                value, area = _gain_at(at, sums, spans, edges, feet, radius, height, cost)
                 if value > best:
                     if best == 0.0:
                         n += 1
@@ -317,8 +352,8 @@ def _candidates(at: Any, sums: Any, places: Any, cost: float) -> Any:
                     falling += 1
                     if falling >= 4:
                         break
-                if bound - cost * area <= best:
-                    break
+                if bound - cost * area <= best:  # a body may cover less than what is lower
+                    low = False
     return things[:n], values[:n]
 
 
@@ -336,20 +371,22 @@ def _most(at: Any, sums: Any) -> Any:
 
 
 @compiled
-def _gain_at(at: Any, sums: Any, spans: Any, edges: Any, feet: Any, height: float, cost: float) -> Any:
+def _gain_at(at: Any, sums: Any, spans: Any, edges: Any, feet: Any, radius: float, height: float, cost: float) -> Any:
     """:func:`gain` of a cylinder of which only the height is new, and the area that it covers."""
     total, area = 0.0, 0.0
     for k in range(len(at.views)):
         rows = at.sizes[k, 1]
         explained, covered, beyond = 0, 0, 0
         for column in range(spans[k, 0], spans[k, 1]):
-            low = min(max(_top(at.views[k], edges[k, column, 0], edges[k, column, 1], height), 0), rows)
+            near, far = edges[k, column]
+            low = min(max(_top(at.views[k], near, far, height), 0), rows)
             high = max(min(max(feet[k, column, 0], 0), rows), low)
-            explained += sums[k, high, column] - sums[k, low, column]
-            covered += at.seen[k, high, column] - at.seen[k, low, column]
-            nearby = feet[k, column, 1]
-            beyond += max(sums[k, low, column] - sums[k, max(low - nearby, 0), column], 0)
-            beyond += max(sums[k, min(high + nearby, rows), column] - sums[k, high, column], 0)
+            trunk, legs = _limbs(at.views[k], near, far, radius, height, low, high)
+            above, below = max(low - feet[k, column, 1], 0), min(high + feet[k, column, 1], rows)
+            evidence, samples, more = _column(sums, at.seen, k, column, low, high, above, below, trunk, legs)
+            explained += evidence
+            covered += samples
+            beyond += more
         total += (explained / 255.0 - beyond / 255.0) * at.views[k, 7]
         area += covered * at.views[k, 7]
     return total - cost * area, area
@@ -428,7 +465,7 @@ def objective(
 ) -> float:
     """The objective of a set of cylinders; a sample that several cover counts once."""
     weights, sums, total = weights0.copy(), sums0.copy(), 0.0
-    runs, found = np.empty((weights.shape[2] + 1, 4), np.int64), np.empty(3)
+    runs, found = np.empty((weights.shape[2] + 1, 6), np.int64), np.empty(3)
     for k in range(count):
         total += gain(views, sizes, sums, seen, things[k], cost, runs, found)
         cover(views, sizes, weights, sums, things[k], 0.0, runs)
@@ -514,7 +551,7 @@ def _solve(at: Any, places: Any, before: Any, how: Any) -> Any:
 
 @compiled
 def _hidden(views: Any, sizes: Any, seen: Any, things: Any, out: Any, by: Any) -> None:
-    runs = np.empty((seen.shape[2] + 1, 4), np.int64)
+    runs = np.empty((seen.shape[2] + 1, 6), np.int64)
     for k in range(len(views)):
         columns, rows = sizes[k]
         for i in range(len(things)):
@@ -546,6 +583,50 @@ def _hidden(views: Any, sizes: Any, seen: Any, things: Any, out: Any, by: Any) -
                 if own > most:
                     most, by[i, k] = own, j
             out[i, k] = covered.sum() / area if area else np.nan
+
+
+@compiled
+def _between_feet(view: Any, size: Any, weights: Any, x: float, y: float) -> Any:
+    """Azimuth in rad halfway between the outer edges of the foreground around the feet, and how much of two legs it shows, 0 to 1."""
+    distance = max(np.hypot(x - view[0], y - view[1]), 2 * SPREAD_M)
+    azimuth = (np.arctan2(y - view[1], x - view[0]) - view[3] + np.pi) % (2 * np.pi) - np.pi
+    half = SPREAD_M / distance
+    first = max(int(np.ceil((azimuth - half - view[4]) / view[6])), 0)
+    last = min(int(np.floor((azimuth + half - view[4]) / view[6])) + 1, size[0])
+    top = max(int(np.ceil((np.arctan2(view[2] - FEET_M, distance) - view[5]) / view[6])), 0)
+    foot = min(int(np.floor((np.arctan2(view[2], distance - SPREAD_M) - view[5]) / view[6])) + 1, size[1])
+    legs = np.zeros(max(last - first, 0))
+    for column in range(first, last):
+        for row in range(top, foot):
+            legs[column - first] += max(weights[row, column], 0) / 255.0
+    total, below, left, right = legs.sum(), 0.0, 0.0, 0.0
+    for i in range(len(legs)):  # the outer edges, but for a fourteenth on either side
+        if legs[i] > 0:
+            if below < total / 14 <= below + legs[i]:
+                left = i - 0.5 + (total / 14 - below) / legs[i]
+            if below < total * 13 / 14 <= below + legs[i]:
+                right = i - 0.5 + (total * 13 / 14 - below) / legs[i]
+            below += legs[i]
+    shown = min(total * (view[6] * np.hypot(distance, view[2])) ** 2 / LEGS_M2, 1.0)
+    return view[3] + view[4] + (first + (left + right) / 2) * view[6], shown
+
+
+@compiled
+def _stand(at: Any, things: Any, out: Any) -> None:
+    for i in range(len(things)):
+        x, y = things[i, 0], things[i, 1]
+        if things[i, 3] >= PERSON_M:
+            _cover_all(at, at.spare, at.spare_sums, things, len(things), i, 0.05)
+            for _ in range(3):
+                a, b, c, u, v = 1.0, 0.0, 1.0, things[i, 0], things[i, 1]
+                for k in range(len(at.views)):
+                    azimuth, shown = _between_feet(at.views[k], at.sizes[k], at.spare[k], x, y)
+                    p, q, trust = -np.sin(azimuth), np.cos(azimuth), FEET_TRUST * shown * shown
+                    off = p * at.views[k, 0] + q * at.views[k, 1]
+                    a, b, c = a + trust * p * p, b + trust * p * q, c + trust * q * q
+                    u, v = u + trust * off * p, v + trust * off * q
+                x, y = (c * u - b * v) / (a * c - b * b), (a * v - b * u) / (a * c - b * b)
+        out[i, 0], out[i, 1] = x, y
 
 
 # --- the stage -------------------------------------------------------------------------------------
@@ -654,13 +735,49 @@ def explain(
     places, last = as_points(places_m, name="places_m"), _as_array(before, "before")
     if not np.isfinite(places).all():
         raise ValueError("places_m: expected finite numbers, got NaN or infinity")
+    things = _solve(_search(evidence), places, last, how)
+    return [Cylinder(*map(float, thing)) for thing in things]
+
+
+def _search(evidence: PolarEvidence) -> _Search:
     weights, sums = evidence.weights, running_sums(evidence.weights)
-    runs, found = np.empty((weights.shape[2] + 1, 4), np.int64), np.empty(3)
-    at = _Search(
+    runs, found = np.empty((weights.shape[2] + 1, 6), np.int64), np.empty(3)
+    return _Search(
         evidence.views, evidence.sizes, weights, sums, evidence.seen_sums, weights.copy(), sums.copy(), runs, found
     )
-    things = _solve(at, places, last, how)
-    return [Cylinder(*map(float, thing)) for thing in things]
+
+
+def standing_points(evidence: PolarEvidence, things: Sequence[Cylinder]) -> FloatArray:
+    """Where on the floor each object stands: on its axis, or where a body has its feet.
+
+    A body leans, and its feet are where its legs are, so a body's point is the one that agrees best with its axis ``p`` and with
+    the bearing ``a_k`` halfway between its feet in each view:
+
+        argmin |x - p|^2 + sum over views of 4 s_k^2 (n_k . (x - c_k))^2,    n_k = (-sin a_k, cos a_k)
+
+    where ``c_k`` is the camera's station and ``s_k`` the share of two legs that it shows, other objects left out.
+
+    Parameters
+    ----------
+    evidence
+        What the views say.
+    things
+        What :func:`explain` found in it.
+
+    Returns
+    -------
+    Floor points (N, 2) in m.
+
+    Raises
+    ------
+    ValueError
+        A place or size that is not finite, or a size that is not positive.
+    """
+    array = _as_array(things, "things")
+    points = array[:, :2].copy()
+    if len(array) and (array[:, 3] >= PERSON_M).any():
+        _stand(_search(evidence), array, points)
+    return points
 
 
 def occlusion_state(evidence: PolarEvidence, things: Sequence[Cylinder]) -> tuple[FloatArray, npt.NDArray[np.int64]]:

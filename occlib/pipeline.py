@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 from tqdm import tqdm
 
-from occlib.explaining import DEFAULT, Cylinder, Explanation, PolarEvidence, explain, occlusion_state
+from occlib.explaining import DEFAULT, Cylinder, Explanation, PolarEvidence, explain, occlusion_state, standing_points
 from occlib.foreground import (
     SURE,
     Background,
@@ -306,19 +306,21 @@ class Pipeline:
         self, things: Sequence[Cylinder], occupied: Mask, frames: Mapping[str, Image]
     ) -> tuple[npt.NDArray[np.int32], list[Observation], FloatArray, npt.NDArray[np.int64]]:
         assert self._explainer is not None
-        labels = footprints(things, occupied, self.rig.floor)
+        points = standing_points(self._explainer.evidence, things).tolist()
+        standing = [replace(thing, x=x, y=y) for thing, (x, y) in zip(things, points, strict=True)]
+        labels = footprints(standing, occupied, self.rig.floor)
         hidden, by = self._explainer.state(frames)
         areas = np.bincount(labels.ravel(), minlength=len(things) + 1)[1:] * self.rig.floor.cell_area
         colours = self._colours(things, hidden, frames)
         seen = [
             Observation(
-                (t.x, t.y),
+                (thing.x, thing.y),
                 float(areas[i]),
                 colours[i],
                 hidden_in=_hidden_in(hidden[i], frames, HIDDEN_ESTIMATE),
                 visible=_visible(hidden[i], frames),
             )
-            for i, t in enumerate(things)
+            for i, thing in enumerate(standing)
         ]
         return labels, seen, hidden, by
 

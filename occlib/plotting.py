@@ -216,11 +216,11 @@ def outline_cylinders(ax: Axes, warp: PolarWarp, things: Sequence[Cylinder], **o
     from occlib.explaining import silhouette
 
     rows, columns = warp.shape
-    runs = np.empty((columns + 1, 2), np.int64)
+    runs = np.empty((columns + 1, 6), np.int64)
     for number, thing in enumerate(things, start=1):
         first, last = silhouette(warp.parameters, columns, rows, thing.x, thing.y, thing.radius, thing.height, runs)
         if last > first:
-            x, (top, bottom) = np.arange(first, last), runs[: last - first].T
+            x, (top, bottom) = np.arange(first, last), runs[: last - first, :2].T
             outline = np.column_stack([np.concatenate([x, x[::-1], x[:1]]), [*top, *bottom[::-1], top[0]]])
             ax.plot(*outline.T, **{"color": "white", "linewidth": 1.5, **options})
             ax.annotate(str(number), (x.mean(), top.min()), xytext=(0, 4), textcoords="offset points", ha="center",

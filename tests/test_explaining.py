@@ -15,7 +15,11 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from occlib.explaining import (
+    CHIN,
+    HEAD,
     HEIGHTS,
+    LEGS,
+    PERSON_M,
     RADII,
     Cylinder,
     Explanation,
@@ -30,11 +34,13 @@ from occlib.explaining import (
     plausible,
     running_sums,
     silhouette,
+    standing_points,
 )
 from occlib.registration import PolarWarp
 from occlib.synthetic import ground_truth, load_scene
 
 Array = np.ndarray[Any, Any]
+Point = tuple[float, float]
 LEFT_RIGHT, THREE, FOUR = ("left", "right"), ("left", "right", "front"), ("left", "right", "front", "back")
 BACKGROUND = 0.6  # weight of the background, as the pipeline has it
 
@@ -94,7 +100,7 @@ def sample_masks(at: Watch, thing: Cylinder) -> Array:
 
 
 def scratch(at: Watch) -> Array:
-    return np.empty((at.seen.shape[2] + 1, 4), np.int64)
+    return np.empty((at.seen.shape[2] + 1, 6), np.int64)
 
 
 def run_masks(at: Watch, thing: Cylinder) -> Array:
@@ -182,17 +188,34 @@ def test_no_silhouette_outside_the_picture_and_none_from_within() -> None:
 RIM = 1.0
 
 
-def rim(at: Watch, weights: Array, thing: Cylinder, k: int) -> float:
-    """Foreground right beyond the base and the top of each column of a cylinder, which counts against it."""
-    runs = scratch(at)
-    columns, rows = at.sizes[k]
-    size = (thing.radius, thing.height)
-    first, last = silhouette(at.views[k], int(columns), int(rows), thing.x, thing.y, *size, runs)
-    total = 0
-    for column in range(first, last):
-        low, high, above, below = runs[column - first]
-        total += max(int(weights[k, above:low, column].sum()), 0) + max(int(weights[k, high:below, column].sum()), 0)
-    return total / 255
+def counted(at: Watch, weights: Array, thing: Cylinder) -> tuple[Array, list[float]]:
+    """The samples by which a cylinder is judged, and for each view the foreground right beyond its base and top.
+
+    All samples of its silhouette; of a body, columns of the head and of the legs only where they show more foreground.
+    """
+    masks, beyond, runs = np.zeros(at.seen.shape, bool), [0.0] * len(at.views), scratch(at)
+    for k, (columns, rows) in enumerate(at.sizes.tolist()):
+        station, left, top, step = at.views[k, :3], at.views[k, 3] + at.views[k, 4], at.views[k, 5], at.views[k, 6]
+        first, last = silhouette(at.views[k], columns, rows, *as_row(thing), runs)
+        chin = runs.copy()
+        silhouette(at.views[k], columns, rows, thing.x, thing.y, thing.radius, CHIN * thing.height, chin)
+        to_axis = np.array([thing.x, thing.y]) - station[:2]
+        for column in range(first, last):
+            low, high, above, below = runs[column - first, :4].tolist()
+            evidence = weights[k, :, column].astype(int)
+            beyond[k] += max(evidence[high:below].sum(), 0) / 255
+            sight = np.array([np.cos(left + column * step), np.sin(left + column * step)])
+            chord = np.sqrt(max(thing.radius**2 - (to_axis @ [-sight[1], sight[0]]) ** 2, 0))  # half of it
+            if thing.height >= PERSON_M:
+                trunk = int(chin[column - first, 0]) if chord < HEAD * thing.radius else low
+                if evidence[low:trunk].sum() <= 0:
+                    low, above = trunk, above + trunk - low
+                drop = np.arctan2(station[2] - LEGS * thing.height, to_axis @ sight - chord)
+                legs = int(np.clip(np.ceil((drop - top) / step), trunk, high))
+                high = legs if evidence[legs:high].sum() <= 0 else high
+            beyond[k] += max(evidence[above:low].sum(), 0) / 255
+            masks[k, low:high, column] = True
+    return masks, beyond
 
 
 # --- sums ----------------------------------------------------------------------------------------------------
@@ -226,14 +249,14 @@ def test_running_sums_hold_what_lies_above_each_row() -> None:
 def test_the_gain_is_the_plain_sum_over_the_samples(thing: Cylinder, seed: int, cost: float) -> None:
     at = watch(THREE, step_px=6.0)
     weights = random_weights(at, seed)
-    masks = run_masks(at, thing)
+    masks, beyond = counted(at, weights, thing)
     total = area = square = share = 0.0
     for k in range(len(at.views)):
         covered = int((masks[k] & at.seen[k]).sum())
         explained = float(weights[k][masks[k]].sum()) / 255
         distance = np.hypot(thing.x - at.views[k, 0], thing.y - at.views[k, 1])
         slant = np.hypot(distance, at.views[k, 2] - thing.height / 2)
-        total += (explained - rim(at, weights, thing, k)) * at.views[k, 7]
+        total += (explained - beyond[k]) * at.views[k, 7]
         area += covered * at.views[k, 7]
         square += explained * (at.views[k, 6] * slant) ** 2
         share = max(share, explained / max(covered, 1))
@@ -264,14 +287,12 @@ def test_the_objective_counts_what_several_cover_once(things: list[Cylinder], se
     weights = random_weights(at, seed)
     things = [*things, *things[:1]]  # the first one twice: pays its price twice and explains once
     expected, left = 0.0, weights.copy()
-    union = np.zeros(at.seen.shape, bool)
     for thing in things:
-        mask = run_masks(at, thing)
+        masks, beyond = counted(at, left, thing)
         for k, scale in enumerate(at.views[:, 7]):
-            expected -= (cost * float((mask[k] & at.seen[k]).sum()) + rim(at, left, thing, k)) * scale
-        union |= mask
-        left[mask] = 0
-    expected += sum(float(weights[k][union[k]].sum()) / 255 * scale for k, scale in enumerate(at.views[:, 7]))
+            covered, explained = int((masks[k] & at.seen[k]).sum()), float(left[k][masks[k]].sum()) / 255
+            expected += (explained - beyond[k] - cost * covered) * scale
+        left[run_masks(at, thing)] = 0
     array = np.array([as_row(t) for t in things]).reshape(-1, 4)
     sums, kept = running_sums(weights), weights.copy()
     value = objective(at.views, at.sizes, weights, sums, running_sums(at.seen), array, len(array), cost)
@@ -401,7 +422,7 @@ def test_the_candidates_are_those_of_the_plain_search(seed: int, share: float) -
     noise = np.stack([cv2.GaussianBlur(rng.normal(size=seen.shape), (0, 0), 9) for seen in here.seen])
     weights = np.where(noise > np.quantile(noise, 1 - share), 255, -150).astype(np.int32) * here.seen
     sums, seen = running_sums(weights), running_sums(here.seen)
-    runs, found = np.empty((weights.shape[2] + 1, 4), np.int64), np.empty(3)
+    runs, found = scratch(here), np.empty(3)
     at = _Search(here.views, here.sizes, weights, sums, seen, weights.copy(), sums.copy(), runs, found)
     places = rng.uniform((-2, -1.5), (2, 1.5), (25, 2))
     plain = []
@@ -567,6 +588,89 @@ def test_outside_the_picture_is_nan_and_nobody_hides_it() -> None:
     assert fractions.shape == by.shape == (0, 2)
 
 
+# --- feet ------------------------------------------------------------------------------------------------------
+def person(feet: tuple[Point, Point], lean: Point) -> Array:
+    """Samples of two legs and of a trunk and head above them, moved by ``lean``, bool (K, rows, columns)."""
+    at = watch(THREE)
+    x, y = np.mean(feet, axis=0) + lean
+    masks = np.zeros(at.seen.shape, bool)
+    for k, (columns, rows) in enumerate(at.sizes):
+        origin, rays = at.views[k, :3], at.rays[k, :rows, :columns]
+        parts = [(0.0, Cylinder(*foot, 0.07, 0.8)) for foot in feet]
+        parts += [(0.75, Cylinder(x, y, 0.2, 0.7)), (1.4, Cylinder(x, y, 0.1, 0.28))]
+        for z, part in parts:
+            masks[k, :rows, :columns] |= hit(origin - [0, 0, z], rays, part)
+    return masks
+
+
+def points_naive(at: Watch, weights: Array, things: Sequence[Cylinder]) -> Array:
+    """:func:`standing_points` sample by sample, and solved by ``lstsq``."""
+    points = np.array([[thing.x, thing.y] for thing in things])
+    for i, thing in enumerate(things):
+        if thing.height < PERSON_M:
+            continue
+        left = weights.copy()
+        for j, other in enumerate(things):
+            if j != i:
+                left[run_masks(at, Cylinder(other.x, other.y, other.radius + 0.05, other.height + 0.05))] = 0
+        for _ in range(3):
+            rows, values = [np.array([1.0, 0]), np.array([0, 1.0])], [thing.x, thing.y]
+            for k, view in enumerate(at.views):
+                offset = points[i] - view[:2]
+                away = max(float(np.hypot(*offset)), 0.8)
+                turn = (np.arctan2(offset[1], offset[0]) - view[3] + np.pi) % (2 * np.pi) - np.pi
+                turns = view[4] + view[6] * np.arange(at.sizes[k, 0])
+                drops = view[5] + view[6] * np.arange(at.sizes[k, 1])
+                low, high = np.arctan2(view[2] - 0.35, away), np.arctan2(view[2], away - 0.4)
+                window = np.ix_((drops >= low) & (drops <= high), np.abs(turns - turn) <= 0.4 / away)
+                legs = np.maximum(left[k, : len(drops), : len(turns)][window], 0).sum(axis=0) / 255
+                if not legs.any():
+                    continue
+                ends = np.concatenate([[0], np.cumsum(legs) / legs.sum()])
+                edges = np.append(turns[window[1][0]] - view[6] / 2, turns[window[1][0]][-1] + view[6] / 2)
+                turn = view[3] + np.interp([1 / 14, 13 / 14], ends, edges).mean()
+                share = min(legs.sum() * (view[6] * np.hypot(away, view[2])) ** 2 / 0.08, 1)
+                normal = 2 * share * np.array([-np.sin(turn), np.cos(turn)])
+                rows.append(normal)
+                values.append(normal @ view[:2])
+            points[i] = np.linalg.lstsq(np.array(rows), np.array(values), rcond=None)[0]
+    return points
+
+
+@settings(max_examples=20, deadline=None)
+@given(
+    things=st.lists(cylinders, min_size=1, max_size=3), seed=st.integers(0, 99), share=st.sampled_from([0, 0.1, 0.9])
+)
+def test_the_standing_points_are_the_least_squares(things: list[Cylinder], seed: int, share: float) -> None:
+    at, rng = watch(THREE, step_px=6.0), np.random.default_rng(seed)
+    things = [dataclasses.replace(things[0], height=1.7), *things[1:]]
+    weights = (rng.integers(-255, 256, at.seen.shape) * (rng.random(at.seen.shape) < share)).astype(np.int32) * at.seen
+    evidence = PolarEvidence(at.views, at.sizes, weights, at.seen)
+    np.testing.assert_allclose(standing_points(evidence, things), points_naive(at, weights, things), atol=1e-9)
+    np.testing.assert_array_equal(evidence.weights, weights)
+
+
+@pytest.mark.parametrize("stride", [(0.0, 0.16), (0.12, -0.1), (-0.2, -0.05)])
+@pytest.mark.parametrize("lean", [(0.12, 0.0), (-0.05, 0.1)])
+def test_somebody_who_leans_stands_on_his_feet(stride: Point, lean: Point) -> None:
+    middle = np.array([0.1, 0.2])
+    at = watch(THREE)
+    weights = np.where(person((middle - stride, middle + stride), lean), 255, -round(255 * BACKGROUND)) * at.seen
+    evidence = PolarEvidence(at.views, at.sizes, weights.astype(np.int32), at.seen)
+    things = explain(evidence, floor_places(evidence))
+    assert len(things) == 1 and things[0].height > PERSON_M
+    point = standing_points(evidence, things)[0]
+    off_axis = np.hypot(*(np.array([things[0].x, things[0].y]) - middle))
+    assert np.hypot(*(point - middle)) < min(0.035, off_axis), (point, things)
+
+
+def test_what_is_no_body_stands_on_its_axis() -> None:
+    evidence = seen_from(THREE, [BIG])
+    assert BIG.height < PERSON_M
+    np.testing.assert_array_equal(standing_points(evidence, [BIG]), [[BIG.x, BIG.y]])
+    assert standing_points(evidence, []).shape == (0, 2)
+
+
 # --- wrong arguments -------------------------------------------------------------------------------------------
 def test_wrong_evidence_is_named() -> None:
     good = seen_from(LEFT_RIGHT, [])
@@ -607,3 +711,5 @@ def test_wrong_places_and_cylinders_are_named() -> None:
             explain(evidence, [[0.0, 0.0]], before=[BIG, thing])
         with pytest.raises(ValueError, match="things: expected finite places and sizes > 0, got"):
             occlusion_state(evidence, [thing])
+        with pytest.raises(ValueError, match="things: expected finite places and sizes > 0, got"):
+            standing_points(evidence, [thing])
