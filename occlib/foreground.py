@@ -571,6 +571,10 @@ def foreground_evidence(image: Image, background: Background, *, shadows: Shadow
     units of its threshold, and foreground is where their root of squares exceeds 1. Noise and the texture of the background
     raise the thresholds; a median over 5 px removes what is left of either.
 
+    A pixel at an object's rim shows part of the floor. It counts as object where at least half of it is: where it has changed less
+    than halfway between the least and the largest change within 5 px, the least evidence there takes its place (the lower half of a
+    toggle mapping, Kramer and Bruckner 1975).
+
     Parameters
     ----------
     image
@@ -595,9 +599,12 @@ def foreground_evidence(image: Image, background: Background, *, shadows: Shadow
         ],
         np.float32,
     )
-    evidence = np.empty(image.shape[:2], np.uint8)
-    _evidence(cv2.GaussianBlur(image, (3, 3), 0), smoothed, texture, gains, numbers, evidence)
-    return np.asarray(cv2.medianBlur(evidence, 5))
+    evidence, change = np.empty(image.shape[:2], np.uint8), np.empty(image.shape[:2], np.uint8)
+    _evidence(cv2.GaussianBlur(image, (3, 3), 0), smoothed, texture, gains, numbers, evidence, change)
+    evidence = np.asarray(cv2.medianBlur(evidence, 5))
+    square = np.ones((5, 5), np.uint8)
+    _sharpen(evidence, cv2.erode(evidence, square), change, cv2.erode(change, square), cv2.dilate(change, square))
+    return evidence
 
 
 def channel_gain_offset(image: Image, background: Image, channel: int) -> tuple[float, float]:
@@ -606,17 +613,27 @@ def channel_gain_offset(image: Image, background: Image, channel: int) -> tuple[
 
 
 @compiled
-def _evidence(image: Any, background: Any, texture: Any, gains: Any, how: Any, out: Any) -> None:
+def _sharpen(evidence: Any, least: Any, change: Any, low: Any, high: Any) -> None:
+    for y in range(evidence.shape[0]):
+        for x in range(evidence.shape[1]):
+            if 2 * np.int64(change[y, x]) < np.int64(low[y, x]) + np.int64(high[y, x]):
+                evidence[y, x] = least[y, x]
+
+
+@compiled
+def _evidence(image: Any, background: Any, texture: Any, gains: Any, how: Any, out: Any, changes: Any) -> None:
     chroma_share, least_chroma, darkest, bright, least_step, per_texture, steepness, depth = how
     # neither chroma nor step exceeds the change itself: most pixels are found to be background without a root
     inverse = 1 / least_chroma**2 + 1 / (1.73 * least_step) ** 2
     nothing = np.float32(max(1 - 1 / steepness, 0.0) ** 2 / inverse)
     for y in range(image.shape[0]):
         for x in range(image.shape[1]):
-            product = square = change = np.float32(0)
+            product = square = change = total = np.float32(0)
             for c in range(3):
                 difference = gains[c, 0] * image[y, x, c] + gains[c, 1] - background[y, x, c]
                 change += difference * difference
+                total += abs(difference)
+            changes[y, x] = np.uint8(min(total / np.float32(3), np.float32(255)))
             if change < nothing:
                 out[y, x] = 0
                 continue
@@ -660,8 +677,11 @@ def foreground_evidence_naive(image: Image, background: Background, *, shadows: 
     darker = np.where(darker > 1, 1 + shadows.depth * (darker - 1), darker)
     brighter = (alpha - 1) * level / (np.maximum(shadows.bright * level, least) + 3 * spare)
     score = np.hypot(chroma, np.where(alpha < 1, darker, brighter))
-    evidence = np.clip(127.5 * (1 + (score - 1) * shadows.steepness), 0, 255).astype(np.uint8)
-    return np.asarray(cv2.medianBlur(evidence, 5))
+    evidence = cv2.medianBlur(np.clip(127.5 * (1 + (score - 1) * shadows.steepness), 0, 255).astype(np.uint8), 5)
+    change = np.minimum(np.abs(i - smoothed).mean(axis=2), 255).astype(np.uint8)
+    square = np.ones((5, 5), np.uint8)
+    halfway = cv2.erode(change, square) / 2 + cv2.dilate(change, square) / 2
+    return np.asarray(np.where(change < halfway, cv2.erode(evidence, square), evidence))
 
 
 def as_background(background: Background | npt.ArrayLike) -> Background:
