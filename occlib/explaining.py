@@ -777,9 +777,7 @@ def _search(evidence: PolarEvidence) -> _Search:
     )
 
 
-def standing_points(
-    evidence: PolarEvidence, things: Sequence[Cylinder], *, how: Explanation = DEFAULT
-) -> FloatArray:
+def standing_points(evidence: PolarEvidence, things: Sequence[Cylinder], *, how: Explanation = DEFAULT) -> FloatArray:
     """Where on the floor each object stands.
 
     The cylinder that explains most is one of many that explain nearly as much, above all where only one view sees the object: a

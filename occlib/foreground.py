@@ -539,8 +539,9 @@ class ShadowModel:
         Change of colour, as a share of the background's brightness, that speaks for an object.
     least_chroma
         The same in grey levels, on a dark background.
-    darkest
-        A shadow leaves at least this share of the light.
+    darkest, least_level
+        A shadow leaves at least this share of the light, or so many grey levels where the floor is bright: what is dark there is an
+        object.
     bright
         Gain of brightness, as a share, that speaks for an object.
     least_step
@@ -550,12 +551,13 @@ class ShadowModel:
     steepness
         How fast evidence becomes sure on either side of a threshold.
     depth
-        The same for darkness beyond ``darkest``, relative to ``steepness``: a deep shadow looks much like a dark object.
+        The same for darkness beyond these, relative to ``steepness``: a deep shadow looks much like a dark object.
     """
 
     chroma: float = 0.05
     least_chroma: float = 8.0
     darkest: float = 0.65
+    least_level: float = 100.0
     bright: float = 0.12
     least_step: float = 14.0
     texture: float = 0.15
@@ -591,6 +593,7 @@ def foreground_evidence(image: Image, background: Background, *, shadows: Shadow
             shadows.chroma,
             max(shadows.least_chroma, 0.5 * least),
             shadows.darkest,
+            shadows.least_level,
             shadows.bright,
             max(shadows.least_step, least),
             shadows.texture,
@@ -622,7 +625,7 @@ def _sharpen(evidence: Any, least: Any, change: Any, low: Any, high: Any) -> Non
 
 @compiled
 def _evidence(image: Any, background: Any, texture: Any, gains: Any, how: Any, out: Any, changes: Any) -> None:
-    chroma_share, least_chroma, darkest, bright, least_step, per_texture, steepness, depth = how
+    chroma_share, least_chroma, darkest, least_level, bright, least_step, per_texture, steepness, depth = how
     # neither chroma nor step exceeds the change itself: most pixels are found to be background without a root
     inverse = 1 / least_chroma**2 + 1 / (1.73 * least_step) ** 2
     nothing = np.float32(max(1 - 1 / steepness, 0.0) ** 2 / inverse)
@@ -652,7 +655,8 @@ def _evidence(image: Any, background: Any, texture: Any, gains: Any, how: Any, o
             chroma = np.sqrt(change) / (max(chroma_share * level, least_chroma) + spare)
             step = (alpha - 1) * level  # in units of a grey pixel's three channels: 1.73 levels each
             if step < 0:
-                brightness = min((1 - alpha) / (1 - darkest), -step / (np.float32(1.73) * (least_step + 2 * spare)))
+                deepest = min(darkest, np.float32(1.73) * least_level / max(level, np.float32(1)))
+                brightness = min((1 - alpha) / (1 - deepest), -step / (np.float32(1.73) * (least_step + 2 * spare)))
                 if brightness > 1:
                     brightness = 1 + depth * (brightness - 1)
             else:
@@ -673,7 +677,8 @@ def foreground_evidence_naive(image: Image, background: Background, *, shadows: 
     chroma = np.sqrt(((i - alpha[..., None] * smoothed) ** 2).sum(axis=2))
     chroma /= np.maximum(shadows.chroma * level, max(shadows.least_chroma, 0.5 * least)) + spare
     least = 1.73 * max(shadows.least_step, least)
-    darker = np.minimum((1 - alpha) / (1 - shadows.darkest), (1 - alpha) * level / (least + 2 * 1.73 * spare))
+    deepest = np.minimum(shadows.darkest, 1.73 * shadows.least_level / np.maximum(level, 1))
+    darker = np.minimum((1 - alpha) / (1 - deepest), (1 - alpha) * level / (least + 2 * 1.73 * spare))
     darker = np.where(darker > 1, 1 + shadows.depth * (darker - 1), darker)
     brighter = (alpha - 1) * level / (np.maximum(shadows.bright * level, least) + 3 * spare)
     score = np.hypot(chroma, np.where(alpha < 1, darker, brighter))

@@ -36,8 +36,10 @@ from occlib.tracking import ObjectVector, Observation, Tracker
 
 HIDDEN = 0.9
 """An object is *hidden* in a view from this fraction on."""
-HIDDEN_ESTIMATE = 0.95
+HIDDEN_ESTIMATE = 0.97
 """The same for the estimate from cylinders, which lose a little of what still sticks out."""
+NEAR_M = 0.02
+"""What a sharp silhouette may lack of an object's rim on the floor, in m."""
 PLANES_M = (0.0, 0.1, 0.3, 0.6, 1.0, 1.4)
 """Heights at which something that stands is looked for: where feet are hidden, the body still places it."""
 LIKENESS, DISTINCT = 38.0, 1.1
@@ -215,6 +217,8 @@ class Pipeline:
         self._needed = min(2, len(rig.cameras))
         self._stations = {n: rig.floor.cells(c.centre_m[None, :2])[0] for n, c in rig.cameras.items()}
         self._explainer = _Explainer(rig, self.backgrounds) if settings.rule == "explain" else None
+        side = 2 * round(NEAR_M / rig.floor.resolution) + 1
+        self._rim = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side))
 
     def process(self, images: Mapping[str, Image | None], time: float) -> FrameResult:
         """Run one instant through the chain.
@@ -251,9 +255,10 @@ class Pipeline:
         if self._explainer:
             things = self._explainer.explain({name: (e[0], e[1]) for name, e in evidence.items()})
             near = occupied
-            # beside an object a quarter of the evidence is enough: its dark rim must not pass for shadow
+            # beside an object any evidence is enough, and what is near it: a dark rim must not pass for shadow
             if self.settings.threshold == "evidence":
-                near = self._fused({name: picture > SURE // 4 for name, picture in floor.items()}, "and")
+                near = self._fused({name: picture > 0 for name, picture in floor.items()}, "and")
+                near = cv2.dilate(near.view(np.uint8), self._rim).view(np.bool_)
             labels, seen, hidden, by = self._explained(things, near, frames)
         else:
             cores = {name: floor[name] > core for name, (_, _, core) in evidence.items()}
