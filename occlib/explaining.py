@@ -14,7 +14,8 @@ The objective of a set of cylinders, summed over the views' samples, is
     sum over covered samples of w  -  cost * (samples that each cylinder covers),    w in [-1, 1]
 
 where ``w`` > 0 is evidence of foreground and ``w`` < 0 of background, and a sample that several cylinders cover counts once;
-foreground that goes on right beyond a base or a top is subtracted (:data:`RIM_M`). But for that it is the log-likelihood of a probabilistic occupancy map (Fleuret et al. 2008, doi:10.1109/TPAMI.2007.1174) up to scale,
+foreground that goes on right beyond a base or a top is subtracted (:data:`RIM_M`). What is as tall as a person is a body: in a column of samples that
+shows no head, or no leg, these parts are not covered. But for that it is the log-likelihood of a probabilistic occupancy map (Fleuret et al. 2008, doi:10.1109/TPAMI.2007.1174) up to scale,
 maximised as marked point processes are (Utasi and Benedek 2011, doi:10.1109/CVPR.2011.5995699), but greedily: the best
 cylinder first, then each refined beside the others, then those dropped that the others explain as well.
 """
@@ -336,12 +337,12 @@ def _candidates(at: Any, sums: Any, places: Any, cost: float) -> Any:
                     feet[k, column] = _foot(at.views[k], edges[k, column, 0])
                     bound += most[k, column] * at.views[k, 7]
             bound *= 1 + 1e-9  # rounding
-            best, falling, low = 0.0, 0, True
+            best, falling, least = 0.0, 0, 0.0
             for height in HEIGHTS:
-                if not plausible(radius, height) or not (low or height >= PERSON_M):
-                    continue
                 if bound <= best:
                     break
+                if height < least or not plausible(radius, height):
+                    continue
                 value, area = _gain_at(at, sums, spans, edges, feet, radius, height, cost)
                 if value > best:
                     if best == 0.0:
@@ -354,8 +355,8 @@ def _candidates(at: Any, sums: Any, places: Any, cost: float) -> Any:
                     falling += 1
                     if falling >= 4:
                         break
-                if bound - cost * area <= best:  # a body may cover less than what is lower
-                    low = False
+                if bound - cost * area <= best:  # nor does it pay for what is higher, but a body may cover less
+                    least = PERSON_M
     return things[:n], values[:n]
 
 
