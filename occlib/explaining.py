@@ -47,6 +47,8 @@ the chin at 0.870, knee and hip at 0.285 and 0.530); where its chord is shorter 
 FEET_M, SPREAD_M, LEGS_M2, FEET_TRUST = 0.35, 0.4, 0.08, 4.0
 """Where a body's feet are looked for: so high above the floor and so far to the sides of its axis, in m; what two legs show there, in
 m2; and by how much a view that shows them is trusted more than the axis (8 cm against 4 cm)."""
+LEAN_M = 0.15
+"""No body's feet are further from its axis, in m: then the views show something else."""
 MEAN_SHARE = 0.02
 """A place that explains this share less counts 1/e in the mean."""
 RIM_M = 0.12
@@ -297,7 +299,7 @@ def _refined(at: Any, sums: Any, thing: Any, cost: float, step0: float) -> Any:
                         best, thing, improved = value, other, True
         for k in range(len(at.views)):  # along the sight-line of one view: farther and lower looks the same to it
             dx, dy = thing[0] - at.views[k, 0], thing[1] - at.views[k, 1]
-            distance = np.hypot(dx, dy)
+            distance = max(np.hypot(dx, dy), 1e-9)
             for sign in (1.0, -1.0):
                 other = thing.copy()
                 other[0] += sign * step[0] * dx / distance
@@ -610,7 +612,8 @@ def _between_feet(view: Any, size: Any, weights: Any, x: float, y: float) -> Any
             if below < total * 13 / 14 <= below + legs[i]:
                 right = i - 0.5 + (total * 13 / 14 - below) / legs[i]
             below += legs[i]
-    shown = min(total * (view[6] * np.hypot(distance, view[2])) ** 2 / LEGS_M2, 1.0)
+    shown = total * (view[6] * np.hypot(distance, view[2])) ** 2 / LEGS_M2
+    shown = min(shown, 1.0, max(2.6 - shown, 0.0))  # what shows more than legs shows something else, too
     return view[3] + view[4] + (first + (left + right) / 2) * view[6], shown
 
 
@@ -657,6 +660,10 @@ def _stand(at: Any, things: Any, cost: float, out: Any) -> None:
                     a, b, c = a + trust * p * p, b + trust * p * q, c + trust * q * q
                     u, v = u + trust * off * p, v + trust * off * q
                 x, y = (c * u - b * v) / (a * c - b * b), (a * v - b * u) / (a * c - b * b)
+            lean = np.hypot(x - things[i, 0], y - things[i, 1])
+            if lean > LEAN_M:
+                share = LEAN_M / lean
+                x, y = things[i, 0] + share * (x - things[i, 0]), things[i, 1] + share * (y - things[i, 1])
         out[i, 0], out[i, 1] = x, y
 
 

@@ -36,7 +36,7 @@ from occlib.tracking import ObjectVector, Observation, Tracker
 
 HIDDEN = 0.9
 """An object is *hidden* in a view from this fraction on."""
-HIDDEN_ESTIMATE = 0.97
+HIDDEN_ESTIMATE = 0.96
 """The same for the estimate from cylinders, which lose a little of what still sticks out."""
 NEAR_M = 0.02
 """What a sharp silhouette may lack of an object's rim on the floor, in m."""

@@ -472,6 +472,15 @@ def test_the_paper_profile_also_finds_ball_and_oval() -> None:
         assert distances.min() < 0.15
 
 
+def test_each_footprint_lies_around_its_position() -> None:
+    results, _, floor = run(lab("four_robots"), ["left", "right"], every=20)
+    for result in results.values():
+        for number, thing in enumerate(result.objects, start=1):
+            iy, ix = np.nonzero(result.labels == number)
+            middle = [low + (np.mean(c) + 0.5) * floor.resolution for low, c in ((floor.x[0], ix), (floor.y[0], iy))]
+            assert math.dist(middle, thing.position_m) < 0.03
+
+
 def test_long_occlusion_keeps_the_hidden_robot_on_the_map_in_every_frame() -> None:
     results, truth, _ = run(lab("long_occlusion"), ["left", "right"])
     scored = score(results, truth, radius=0.3)
