@@ -670,7 +670,7 @@ def points_naive(at: Watch, weights: Array, things: Sequence[Cylinder]) -> Array
     things=st.lists(cylinders, min_size=2, max_size=3),
     seed=st.integers(0, 99),
     off=st.tuples(*[st.floats(-0.3, 0.3)] * 2),
-    noise=st.sampled_from([0.0, 0.1, 1.0]),
+    noise=st.sampled_from([0.02, 0.1, 1.0]),
 )
 def test_the_standing_points_are_the_least_squares_and_the_weighted_means(
     things: list[Cylinder], seed: int, off: Point, noise: float
