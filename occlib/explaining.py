@@ -797,7 +797,8 @@ def standing_points(evidence: PolarEvidence, things: Sequence[Cylinder], *, how:
 
         argmin |x - p|^2 + sum over views of 4 s_k^2 (n_k . (x - c_k))^2,    n_k = (-sin a_k, cos a_k)
 
-    where ``c_k`` is the camera's station and ``s_k`` the share of two legs that it shows, other objects left out.
+    where ``c_k`` is the camera's station and ``s_k`` the share of two legs that it shows, other objects left out; none, if it shows
+    far more than legs. It lies within 0.15 m of the axis.
 
     Parameters
     ----------
