@@ -159,8 +159,14 @@ def _top(view: Any, near: float, far: float, height: float) -> int:
 
 
 @compiled
+def room_for_runs(columns: int) -> Any:
+    """Memory for what :func:`silhouette` writes in a view of so many columns, int64 (columns + 1, 6)."""
+    return np.empty((columns + 1, 6), np.int64)
+
+
+@compiled
 def silhouette(view: Any, columns: int, rows: int, x: float, y: float, radius: float, height: float, out: Any) -> Any:
-    """First and last + 1 column of a cylinder, and in ``out`` (columns + 1, 6) rows of each: the first and last + 1, the same of what
+    """First and last + 1 column of a cylinder, and in ``out`` rows of each: the first and last + 1, the same of what
     is near it, the first below a head and the first of legs."""
     first, last, distance, azimuth = _span(view, columns, x, y, radius)
     for column in range(first, last):
@@ -470,7 +476,7 @@ def objective(
 ) -> float:
     """The objective of a set of cylinders; a sample that several cover counts once."""
     weights, sums, total = weights0.copy(), sums0.copy(), 0.0
-    runs, found = np.empty((weights.shape[2] + 1, 6), np.int64), np.empty(3)
+    runs, found = room_for_runs(weights.shape[2]), np.empty(3)
     for k in range(count):
         total += gain(views, sizes, sums, seen, things[k], cost, runs, found)
         cover(views, sizes, weights, sums, things[k], 0.0, runs)
@@ -556,7 +562,7 @@ def _solve(at: Any, places: Any, before: Any, how: Any) -> Any:
 
 @compiled
 def _hidden(views: Any, sizes: Any, seen: Any, things: Any, out: Any, by: Any) -> None:
-    runs = np.empty((seen.shape[2] + 1, 6), np.int64)
+    runs = room_for_runs(seen.shape[2])
     for k in range(len(views)):
         columns, rows = sizes[k]
         for i in range(len(things)):
@@ -643,28 +649,31 @@ def _mean_place(at: Any, sums: Any, thing: Any, cost: float) -> Any:
 
 
 @compiled
+def _feet(at: Any, weights: Any, thing: Any) -> Any:
+    """The point that agrees best with a body's axis and with the bearings between its feet, no further than it may lean."""
+    x, y = thing[0], thing[1]
+    for _ in range(3):
+        a, b, c, u, v = 1.0, 0.0, 1.0, thing[0], thing[1]
+        for k in range(len(at.views)):
+            azimuth, shown = _between_feet(at.views[k], at.sizes[k], weights[k], x, y)
+            p, q, trust = -np.sin(azimuth), np.cos(azimuth), FEET_TRUST * shown * shown
+            off = p * at.views[k, 0] + q * at.views[k, 1]
+            a, b, c = a + trust * p * p, b + trust * p * q, c + trust * q * q
+            u, v = u + trust * off * p, v + trust * off * q
+        x, y = (c * u - b * v) / (a * c - b * b), (a * v - b * u) / (a * c - b * b)
+    share = min(LEAN_M / max(np.hypot(x - thing[0], y - thing[1]), 1e-9), 1.0)
+    return thing[0] + share * (x - thing[0]), thing[1] + share * (y - thing[1])
+
+
+@compiled
 def _stand(at: Any, things: Any, cost: float, out: Any) -> None:
     for i in range(len(things)):
-        x, y = things[i, 0], things[i, 1]
-        if things[i, 3] < PERSON_M:
-            _cover_all(at, at.spare, at.spare_sums, things, len(things), i, 0.0)
-            x, y = _mean_place(at, at.spare_sums, things[i], cost)
+        body = things[i, 3] >= PERSON_M
+        _cover_all(at, at.spare, at.spare_sums, things, len(things), i, 0.05 if body else 0.0)
+        if body:
+            out[i] = _feet(at, at.spare, things[i])
         else:
-            _cover_all(at, at.spare, at.spare_sums, things, len(things), i, 0.05)
-            for _ in range(3):
-                a, b, c, u, v = 1.0, 0.0, 1.0, things[i, 0], things[i, 1]
-                for k in range(len(at.views)):
-                    azimuth, shown = _between_feet(at.views[k], at.sizes[k], at.spare[k], x, y)
-                    p, q, trust = -np.sin(azimuth), np.cos(azimuth), FEET_TRUST * shown * shown
-                    off = p * at.views[k, 0] + q * at.views[k, 1]
-                    a, b, c = a + trust * p * p, b + trust * p * q, c + trust * q * q
-                    u, v = u + trust * off * p, v + trust * off * q
-                x, y = (c * u - b * v) / (a * c - b * b), (a * v - b * u) / (a * c - b * b)
-            lean = np.hypot(x - things[i, 0], y - things[i, 1])
-            if lean > LEAN_M:
-                share = LEAN_M / lean
-                x, y = things[i, 0] + share * (x - things[i, 0]), things[i, 1] + share * (y - things[i, 1])
-        out[i, 0], out[i, 1] = x, y
+            out[i] = _mean_place(at, at.spare_sums, things[i], cost)
 
 
 # --- the stage -------------------------------------------------------------------------------------
@@ -712,6 +721,11 @@ class PolarEvidence:
             window = np.s_[k, : samples.shape[0], : samples.shape[1]]
             weights[window], seen[window] = own, samples
         return cls(np.array([parameters for parameters, _, _ in views]), sizes, weights, seen)
+
+    @cached_property
+    def sums(self) -> npt.NDArray[np.int32]:
+        """Running sums of the weights down the columns, int32 (K, rows + 1, columns)."""
+        return running_sums(self.weights)
 
     @cached_property
     def seen_sums(self) -> npt.NDArray[np.int32]:
@@ -778,8 +792,8 @@ def explain(
 
 
 def _search(evidence: PolarEvidence) -> _Search:
-    weights, sums = evidence.weights, running_sums(evidence.weights)
-    runs, found = np.empty((weights.shape[2] + 1, 6), np.int64), np.empty(3)
+    weights, sums = evidence.weights, evidence.sums
+    runs, found = room_for_runs(weights.shape[2]), np.empty(3)
     return _Search(
         evidence.views, evidence.sizes, weights, sums, evidence.seen_sums, weights.copy(), sums.copy(), runs, found
     )

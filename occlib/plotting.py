@@ -213,10 +213,10 @@ def outline_on_image(ax: Axes, camera: Camera, outline_m: npt.ArrayLike, **optio
 
 def outline_cylinders(ax: Axes, warp: PolarWarp, things: Sequence[Cylinder], **options: Any) -> None:
     """Outline of each upright cylinder, with its number, in a camera's polar view."""
-    from occlib.explaining import silhouette
+    from occlib.explaining import room_for_runs, silhouette
 
     rows, columns = warp.shape
-    runs = np.empty((columns + 1, 6), np.int64)
+    runs = room_for_runs(columns)
     for number, thing in enumerate(things, start=1):
         first, last = silhouette(warp.parameters, columns, rows, thing.x, thing.y, thing.radius, thing.height, runs)
         if last > first:

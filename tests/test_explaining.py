@@ -32,6 +32,7 @@ from occlib.explaining import (
     objective,
     occlusion_state,
     plausible,
+    room_for_runs,
     running_sums,
     silhouette,
     standing_points,
@@ -100,7 +101,7 @@ def sample_masks(at: Watch, thing: Cylinder) -> Array:
 
 
 def scratch(at: Watch) -> Array:
-    return np.empty((at.seen.shape[2] + 1, 6), np.int64)
+    return np.asarray(room_for_runs(at.seen.shape[2]))
 
 
 def run_masks(at: Watch, thing: Cylinder) -> Array:
