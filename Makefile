@@ -46,7 +46,7 @@ bench: $(READY)  ## cost of the pipeline, of the matching measures and of the br
 	$(BIN)/python tests/bench_broadcast.py
 
 notebooks: $(READY)  ## make the student copies, without solutions, in runs/student
-	@$(BIN)/python -c 'from occlib.notebooks import student_copies; print(len(student_copies("runs/student")), "student copies in runs/student")'
+	@$(BIN)/python -c 'from occlib.reproduce import student_copies; print(len(student_copies("runs/student")), "student copies in runs/student")'
 	@echo 'Open the notebooks:  $(BIN)/jupyter lab notebooks      the student copies:  $(BIN)/jupyter lab runs/student'
 
 clean:  ## remove .venv, runs and caches; figures/ stays

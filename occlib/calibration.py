@@ -20,13 +20,19 @@ import numpy.typing as npt
 import yaml
 from scipy.optimize import least_squares
 
-from occlib.geometry import Camera, FloatArray, Image, Rig, apply_homography, as_points, invert_homography
-from occlib.recordings import read_image, read_yaml, write_file
+from occlib.base.arrays import FloatArray, Image, as_points
+from occlib.base.files import read_image, read_yaml, write_file
+from occlib.geometry import Camera, Rig, apply_homography, invert_homography
 
 Pattern: TypeAlias = tuple[int, int]
 
+
 _CRITERIA = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 100, 1e-6)
+
+
 _MIN_VIEWS = 3
+
+
 _MIN_TILT_DEG = 5.0
 
 
@@ -95,7 +101,6 @@ class FloorFit:
     leave_one_out_m: FloatArray | None
 
 
-# --- corners ---------------------------------------------------------------------------------------
 def parse_pattern(text: str) -> Pattern:
     """Inner corners ``(columns, rows)`` of a board from a text such as ``9x6``.
 
@@ -202,7 +207,6 @@ def refine_corners(image: Image, marks_px: npt.ArrayLike, *, window_px: int = 5)
     return np.asarray(cv2.cornerSubPix(grey, start, window, (-1, -1), _CRITERIA), np.float64).reshape(-1, 2)
 
 
-# --- intrinsics ------------------------------------------------------------------------------------
 def calibrate(corner_sets: Sequence[npt.ArrayLike], board: npt.ArrayLike, size: tuple[int, int]) -> Calibration:
     """Intrinsics and distortion from several views of a flat board.
 
@@ -313,7 +317,6 @@ def reprojection_error(
     return np.linalg.norm(np.asarray(projected).reshape(-1, 2) - seen, axis=1)
 
 
-# --- the floor -------------------------------------------------------------------------------------
 def floor_homography_from_marks(lens: Camera | Calibration, pixels: npt.ArrayLike, floor_m: npt.ArrayLike) -> FloorFit:
     """The homography to the floor from marks whose floor coordinates are known.
 
@@ -432,7 +435,6 @@ def floor_homography_from_pose(
     return Camera.from_pose("pose", lens.size, lens.matrix, lens.distortion, rotation, translation).image_to_floor
 
 
-# --- files -----------------------------------------------------------------------------------------
 def save_calibration(path: str | Path, calibration: Calibration) -> Path:
     """Write ``size``, ``matrix``, ``distortion``, ``rms_px`` and ``views_used`` as YAML."""
     fields = {
@@ -483,7 +485,6 @@ def load_marks(path: str | Path) -> dict[str, tuple[FloatArray, FloatArray]]:
     return marks
 
 
-# --- helpers ---------------------------------------------------------------------------------------
 def _checked_pattern(pattern: Pattern) -> Pattern:
     if len(pattern) != 2 or any(int(n) != n or not 3 <= n <= 1000 for n in pattern):
         raise ValueError(f"pattern: expected (columns, rows) of inner corners, 3 or more each, got {tuple(pattern)}")

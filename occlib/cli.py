@@ -161,9 +161,9 @@ def build_parser() -> argparse.ArgumentParser:
 
 
 def reproduce(args: argparse.Namespace) -> int:
-    from occlib import experiments
+    from occlib.reproduce import publish
 
-    report = experiments.reproduce(
+    report = publish.reproduce(
         args.notebooks or None,
         parameters=dict(args.parameter),
         fast=args.fast,
@@ -178,13 +178,14 @@ def reproduce(args: argparse.Namespace) -> int:
 def run(args: argparse.Namespace) -> int:
     from tqdm import tqdm
 
-    from occlib import bags
-    from occlib.geometry import read_yaml
+    from occlib.base.files import read_yaml, staged_folder, write_file
+    from occlib.explaining.appearance import read_templates
+    from occlib.formats import load_truth
+    from occlib.live import bags
     from occlib.mapping import MODES, save_map
-    from occlib.metrics import load_truth
     from occlib.pipeline import Pipeline, backgrounds_of, settings_for
     from occlib.plotting import figure_png, overview
-    from occlib.recordings import open_recording, parse_frames, read_templates, staged_folder, write_file
+    from occlib.recordings import open_recording, parse_frames
 
     if args.map_mode not in MODES:
         raise ValueError(f"--map-mode: expected one of {', '.join(MODES)}, got {args.map_mode!r}")
@@ -261,9 +262,9 @@ def broadcast(args: argparse.Namespace) -> int:
 
     from tqdm import tqdm
 
-    from occlib.broadcast import Publisher, keygen
+    from occlib.live.broadcast import Publisher, keygen
+    from occlib.live.topic import MapTopic
     from occlib.pipeline import Pipeline, settings_for
-    from occlib.ros2 import MapTopic
 
     if args.recording == "keygen":
         if args.name is None:
@@ -308,7 +309,7 @@ def broadcast(args: argparse.Namespace) -> int:
 
 def _played(args: argparse.Namespace, stack: Any) -> tuple[Any, ...]:
     """Rig, backgrounds, instants and their number, of a recording."""
-    from occlib.capture import Player
+    from occlib.live.capture import Player
     from occlib.pipeline import backgrounds_of
     from occlib.recordings import open_recording
 
@@ -321,9 +322,9 @@ def _live(args: argparse.Namespace, stack: Any) -> tuple[Any, ...]:
     """The same of live cameras, which are closed by the stack."""
     from contextlib import ExitStack
 
-    from occlib.capture import Capture, Device
-    from occlib.foreground import average_background
+    from occlib.foreground.background import average_background
     from occlib.geometry import Rig
+    from occlib.live.capture import Capture, Device
     from occlib.recordings import empty_floor_images
 
     if args.rig is None or args.background is None or args.rate is not None or args.loop:
@@ -349,7 +350,7 @@ def listen(args: argparse.Namespace) -> int:
     import time
     from concurrent.futures import ThreadPoolExecutor
 
-    from occlib.broadcast import Listener
+    from occlib.live.broadcast import Listener
 
     if args.plot is not None and Path(args.plot).suffix.lower() != ".png":
         raise ValueError(f"--plot: expected a file name that ends in .png, got {args.plot}")
@@ -409,9 +410,9 @@ def _as_json(message: Any, latency_ms: float, cells: bool) -> str:
 
 
 def _draw(message: Any, path: str) -> None:
+    from occlib.base.files import write_file
     from occlib.mapping import OccupancyMap
     from occlib.plotting import figure_png, new_figure, show_map
-    from occlib.recordings import write_file
     from occlib.tracking import ObjectVector
 
     things = [
@@ -424,8 +425,9 @@ def _draw(message: Any, path: str) -> None:
 
 
 def evaluate(args: argparse.Namespace) -> int:
+    from occlib.formats import load_objects, load_truth
     from occlib.metrics import evaluate as score_objects
-    from occlib.metrics import evaluate_hidden, load_objects, load_truth
+    from occlib.metrics import evaluate_hidden
 
     objects, truth = load_objects(args.objects), load_truth(args.truth)
     hidden = evaluate_hidden(objects, truth, roi=args.roi, radius=args.radius)
@@ -459,11 +461,11 @@ def calibrate(args: argparse.Namespace) -> int:
 
 
 def compare(args: argparse.Namespace) -> int:
-    from occlib import charts, sweeps
-    from occlib.foreground import to_grey
-    from occlib.matching import compare as compare_measures
+    from occlib.base.files import read_image, write_file
+    from occlib.foreground.intensity import to_grey
+    from occlib.matching.search import compare as compare_measures
     from occlib.plotting import figure_png
-    from occlib.recordings import read_image, write_file
+    from occlib.study import charts, sweeps
 
     if Path(args.out).suffix.lower() != ".png":
         raise ValueError(f"--out: expected a file name that ends in .png, got {args.out}")
@@ -498,28 +500,29 @@ def sweep(args: argparse.Namespace) -> int:
     from contextlib import suppress
     from functools import partial
 
-    from occlib import charts, study, sweeps, trials
-    from occlib.matching import METHODS
-    from occlib.notebooks import file_hash, folder_hash
+    from occlib.base.files import file_hash, folder_hash, write_file
+    from occlib.matching.measures import METHODS
     from occlib.plotting import figure_png
-    from occlib.recordings import open_recording, write_file
+    from occlib.recordings import open_recording
+    from occlib.study import charts, sweeps, tables, trials
+    from occlib.study import work as work_module
 
     own = sweeps.load_matchers(args.matchers) if args.matchers else {}
     names = trials.known_names(args.methods or METHODS, METHODS, "methods")
     chosen = {"seeds": _seeds(args.seeds), "sides": args.sides, "conditions": args.conditions, "sources": args.sources}
-    work = study.batches("fast" if args.fast else "full", **chosen)
+    work = work_module.batches("fast" if args.fast else "full", **chosen)
     recorded = sorted({batch.source for batch in work} - set(trials.PHOTOGRAPHS))
     inputs: dict[str, Any] = {"methods": names, "matchers": file_hash(Path(args.matchers)) if own else ""}
     inputs["recordings"] = {name: folder_hash(open_recording(name).path) for name in recorded}
     made: dict[str, Any] = {}
 
-    def tables(table: Any) -> dict[str, Any]:
-        made.update({"summary.csv": study.summarise(table), "thresholds.csv": study.thresholds(table)})
-        made["verdicts.csv"] = study.verdicts(table)
+    def made_of(table: Any) -> dict[str, Any]:
+        made.update({"summary.csv": tables.summarise(table), "thresholds.csv": tables.thresholds(table)})
+        made["verdicts.csv"] = tables.verdicts(table)
         return made
 
-    function = partial(study.run_batch, methods=tuple(own.get(name, name) for name in names))
-    options = {"jobs": args.jobs, "scheduler": args.scheduler, "inputs": inputs, "tables": tables}
+    function = partial(work_module.run_batch, methods=tuple(own.get(name, name) for name in names))
+    options = {"jobs": args.jobs, "scheduler": args.scheduler, "inputs": inputs, "tables": made_of}
     count = len(sweeps.run_batches(work, function, args.out, **options))
     pictures = {"verdicts.png": charts.verdict_figure(made["verdicts.csv"])}
     (Path(args.out) / "recall.png").unlink(missing_ok=True)
@@ -545,9 +548,9 @@ def _seeds(text: str | None) -> range | None:
 
 
 def render(args: argparse.Namespace) -> int:
+    from occlib.lab.rendering import render as render_scene
+    from occlib.lab.scenes import load_scene
     from occlib.recordings import parse_frames
-    from occlib.rendering import render as render_scene
-    from occlib.synthetic import load_scene
 
     scene = load_scene(args.scene)
     frames = None if args.frames is None else parse_frames(args.frames, range(scene.frames))
@@ -560,7 +563,7 @@ def data(args: argparse.Namespace) -> int:
     from occlib import recordings
 
     if args.action == "verify":
-        from occlib.rendering import verify_manifest
+        from occlib.lab.manifest import verify_manifest
 
         problems = verify_manifest()
         print("\n".join(problems) or "data/lab agrees with its manifest")
@@ -578,7 +581,7 @@ def data(args: argparse.Namespace) -> int:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command; 0 on success, else a one-line error on stderr and another number."""
     args = build_parser().parse_args(arguments)
-    from occlib.notebooks import stoppable
+    from occlib.base.interrupts import stoppable
 
     try:
         with stoppable():

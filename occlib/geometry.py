@@ -13,7 +13,7 @@ Conventions, stated once and kept everywhere
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -25,32 +25,8 @@ import numpy.typing as npt
 import yaml
 from scipy.ndimage import distance_transform_edt
 
-FloatArray = npt.NDArray[np.float64]
-Mask = npt.NDArray[np.bool_]
-Image = npt.NDArray[Any]
-
-
-def read_yaml(path: str | Path) -> Any:
-    """The content of a YAML file; ``ValueError`` in one line if it cannot be read or is not YAML."""
-    try:
-        return yaml.safe_load(Path(path).read_text(encoding="utf-8"))
-    except OSError as error:
-        raise ValueError(f"{path}: cannot read ({error.strerror})") from None
-    except (yaml.YAMLError, ValueError, RecursionError) as error:  # ValueError: not UTF-8, an impossible date
-        raise ValueError(f"{path}: not valid YAML ({str(error).splitlines()[0]})") from None
-
-
-def as_points(points: npt.ArrayLike, *, dimensions: int = 2, name: str = "points") -> FloatArray:
-    """Points as a float64 array of shape (N, dimensions); a single point becomes (1, dimensions).
-
-    Raises ``ValueError`` if the last axis has another length.
-    """
-    array = np.asarray(points, dtype=np.float64)
-    if array.size == 0:
-        return np.empty((0, dimensions))
-    if array.ndim == 0 or array.shape[-1] != dimensions:
-        raise ValueError(f"{name}: expected shape (N, {dimensions}), got {array.shape}")
-    return array.reshape(-1, dimensions)
+from occlib.base.arrays import FloatArray, Mask, as_points
+from occlib.base.files import read_yaml
 
 
 def apply_homography(homography: npt.ArrayLike, points: npt.ArrayLike) -> FloatArray:
@@ -418,3 +394,22 @@ def _camera(name: str, fields: Any) -> Camera:
     rotation = _numbers(fields.get("rotation"), (3, 3), f"{where}.rotation")
     translation = _numbers(fields.get("translation"), (3,), f"{where}.translation")
     return Camera.from_pose(name, size, matrix, distortion, rotation, translation)
+
+
+def look_at(position: Iterable[float], target: Iterable[float]) -> FloatArray:
+    """World-to-camera rotation of a level camera (x right, y down, z forwards)."""
+    forward = np.subtract(list(target), list(position))
+    forward = forward / np.linalg.norm(forward)
+    right = np.cross(forward, [0.0, 0.0, 1.0])
+    right /= np.linalg.norm(right)
+    return np.array([right, np.cross(forward, right), forward])
+
+
+def pixel_rays(camera: Camera, offset: tuple[float, float] = (0.0, 0.0)) -> FloatArray:
+    """World directions (H, W, 3) through every pixel's centre plus ``offset`` px; not normalised."""
+    width, height = camera.size
+    v, u = np.mgrid[:height, :width]
+    points = np.column_stack([u.ravel() + offset[0], v.ravel() + offset[1]])
+    ideal = (camera.undistort_points(points) - camera.matrix[:2, 2]) / camera.matrix[[0, 1], [0, 1]]
+    world = np.column_stack([ideal, np.ones(len(ideal))]) @ camera.pose[0]
+    return np.asarray(world.reshape(height, width, 3))

@@ -11,7 +11,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import distance_transform_edt, find_objects
 
-from occlib.geometry import Camera, FloatArray, Mask, as_points
+from occlib.base.arrays import FloatArray, Mask, as_points
+from occlib.geometry import Camera
 
 
 @dataclass(frozen=True)

@@ -15,21 +15,34 @@ import numpy as np
 import numpy.typing as npt
 import yaml
 
-from occlib.geometry import FloatArray, Floor, Image, Mask, read_yaml
-from occlib.recordings import encode_image, read_image, write_file
+from occlib.base.arrays import FloatArray, Image, Mask
+from occlib.base.files import encode_image, read_image, read_yaml, write_file
+from occlib.geometry import Floor
 
 FREE, OCCUPIED, UNKNOWN = 0, 100, -1
+
+
 BLIND, ONE_VIEW, DISAGREE, UNCONFIRMED = 1, 2, 3, 4
+
+
 REASONS = {BLIND: "no camera sees it", ONE_VIEW: "one view only", DISAGREE: "views disagree", UNCONFIRMED: "new"}
 """Why a cell is unknown: blind; foreground in the only view that is left; foreground that the objects on the map explain; or
 something new that may be a ghost."""
+
+
 MapData: TypeAlias = npt.NDArray[np.int8]
+
 
 MODES = ("trinary", "scale", "raw")
 """How ``map_server`` turns the greys of a picture into values: see :func:`load_map`."""
 
+
 _GREY = {FREE: 254, OCCUPIED: 0, UNKNOWN: 205}
+
+
 _OCCUPIED_THRESH = 0.65
+
+
 _FREE_THRESH = 0.196  # 205 is (255 - 205) / 255 = 0.19608: with 0.25 it would read as free
 
 

@@ -7,15 +7,15 @@ views segmented, and little else.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from functools import reduce
-from itertools import combinations, pairwise
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from occlib.geometry import FloatArray, Floor, Image, Mask, Rig, as_points
+from occlib.base.arrays import FloatArray, Image, Mask
 
 RULES = ("and", "or", "most", "product", "log-odds", "planes")
 """Fusion rules by name, see :func:`fuse`."""
@@ -43,7 +43,7 @@ def fuse(evidence: Sequence[Image], rule: str = "and", *, visible: Sequence[Mask
         the AND of the thresholded views. ``product``, ``log-odds`` and ``planes`` take bool, uint8 (0 to 255) and floats in
         [0, 1] as probabilities. For ``"planes"`` (planes, ny, nx) a view: the view on parallel planes above the floor.
     rule
-        One of :data:`RULES`. Explaining away needs more than one cell at a time: :func:`occlib.explaining.explain`.
+        One of :data:`RULES`. Explaining away needs more than one cell at a time: :func:`occlib.explaining.search.explain`.
     visible
         Bool, of the evidence's shape, a view: a view says nothing about cells it cannot see. None if every view sees every
         cell. A cell that no view sees is 0.
@@ -127,101 +127,6 @@ def _as_evidence(probability: FloatArray, dtype: npt.DTypeLike) -> Image:
     if dtype == np.bool_:
         return np.asarray(probability >= 0.5)
     return np.asarray(np.rint(255 * probability) if dtype == np.uint8 else probability).astype(dtype)
-
-
-def standing_places(
-    evidence: Sequence[Image], visible: Sequence[Mask], floor: Floor, *, level: float = 127, views: int = 2
-) -> FloatArray:
-    """Where something may stand: cells over which, on some plane, every view that sees it says foreground.
-
-    Parameters
-    ----------
-    evidence, visible
-        For each view soft evidence on parallel planes and what it sees of them, (planes, ny, nx).
-    floor
-        Of these cells; coarse cells do.
-    level
-        Evidence above this is foreground.
-    views
-        At least so many views must see a cell on the plane.
-
-    Returns
-    -------
-    Floor points (N, 2) in m.
-    """
-    votes = np.logical_and.reduce([~seen | (e > level) for e, seen in zip(evidence, visible, strict=True)])
-    votes &= np.sum(visible, axis=0) >= views
-    iy, ix = np.nonzero(votes.any(axis=0))
-    return np.column_stack([floor.x[0] + (ix + 0.5) * floor.resolution, floor.y[0] + (iy + 0.5) * floor.resolution])
-
-
-def axis_colours(points_m: npt.ArrayLike, heights: npt.ArrayLike, images: Mapping[str, Image], rig: Rig) -> FloatArray:
-    """The mean colour that each view shows along the axes of upright things.
-
-    Parameters
-    ----------
-    points_m
-        Floor points (N, 2) in m.
-    heights
-        Of the things, (N,) or a number, in m; looked at from 0.3 to 0.7 of it.
-    images
-        ``{camera: uint8 RGB (H, W, 3)}``.
-    rig
-        The cameras.
-
-    Returns
-    -------
-    Shape (views, N, 3) in grey levels; NaN where a view does not see the axis.
-    """
-    points, shares = as_points(points_m), np.array([0.3, 0.4, 0.5, 0.6, 0.7])
-    tall = np.broadcast_to(np.asarray(heights, dtype=np.float64), len(points))
-    colours = np.full((len(images), len(points), 3), np.nan)
-    for k, (name, image) in enumerate(images.items()):
-        for i, point in enumerate(points):
-            pixels = rig[name].project(np.column_stack([np.tile(point, (len(shares), 1)), shares * tall[i]]))
-            pixels = np.rint(pixels[rig[name].inside(pixels)]).astype(int)
-            if len(pixels):
-                colours[k, i] = image[pixels[:, 1], pixels[:, 0]].mean(axis=0)
-    return colours
-
-
-def colour_agreement(
-    points_m: npt.ArrayLike, heights: npt.ArrayLike, images: Mapping[str, Image], rig: Rig
-) -> FloatArray:
-    """How much the views disagree about the colour of what may stand at a place: a ghost test.
-
-    All views show the same thing at an object that no other hides. At a ghost each view shows another object, the one that
-    casts its shadow there.
-
-    Parameters
-    ----------
-    points_m, heights, images, rig
-        As for :func:`axis_colours`, of the candidates; two or more images.
-
-    Returns
-    -------
-    Shape (N,): the largest distance between the colours of two views in grey levels, 0 to 442, lower is more alike; NaN where
-    fewer than two views see the axis.
-
-    Raises
-    ------
-    ValueError
-        Fewer than two images.
-
-    Examples
-    --------
-    >>> from occlib.recordings import LAB
-    >>> rig = Rig.load(LAB / "robot" / "rig.yaml")
-    >>> images = {name: np.full((480, 640, 3), level, np.uint8) for name, level in [("left", 90), ("right", 100)]}
-    >>> colour_agreement([[0, 0]], 0.2, images, rig).round(1)
-    array([17.3])
-    """
-    if len(images) < 2:
-        raise ValueError(f"images: expected two or more, got {len(images)}")
-    colours = axis_colours(points_m, heights, images, rig)
-    pairs = [np.linalg.norm(colours[a] - colours[b], axis=1) for a, b in combinations(range(len(images)), 2)]
-    largest = np.max(np.nan_to_num(pairs, nan=-1.0), axis=0)
-    return np.where(largest < 0, np.nan, largest)
 
 
 def truth_table() -> list[dict[str, Any]]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -11,39 +11,29 @@ import numpy as np
 import numpy.typing as npt
 from tqdm import tqdm
 
-from occlib.explaining import DEFAULT, Cylinder, Explanation, PolarEvidence, explain, occlusion_state, standing_points
-from occlib.foreground import (
-    SURE,
-    Background,
-    adjust_intensity,
-    as_background,
-    average_background,
-    foreground_evidence,
-    learn_background,
-    smooth,
-    subtract_background,
-    threshold_level,
-)
-from occlib.geometry import FloatArray, Floor, Image, Mask, Rig
-from occlib.health import CameraMonitor
+from occlib.base.arrays import FloatArray, Image, Mask
+from occlib.explaining.appearance import DISTINCT, LIKENESS, _box, _likeness, _template, axis_colours
+from occlib.explaining.cylinders import Cylinder
+from occlib.explaining.explainer import HIDDEN_ESTIMATE, _Explainer, _weights, footprints
+from occlib.explaining.feet import standing_points
+from occlib.finding import HIDDEN, _confirmed_first, _hidden_by, _hidden_in, _new_labels, _visible
+from occlib.foreground.background import Background, as_background, average_background
+from occlib.foreground.difference import smooth, subtract_background
+from occlib.foreground.health import CameraMonitor
+from occlib.foreground.intensity import adjust_intensity
+from occlib.foreground.learning import learn_background
+from occlib.foreground.shadows import SURE, foreground_evidence
+from occlib.foreground.threshold import threshold_level
+from occlib.geometry import Rig
 from occlib.localization import Region, find_regions, split_regions
 from occlib.mapping import BLIND, DISAGREE, ONE_VIEW, UNCONFIRMED, OccupancyMap, occupancy_map
-from occlib.matching import similarity
-from occlib.occlusion import RULES, axis_colours, fuse, hidden_fractions, standing_places
+from occlib.occlusion import RULES, fuse, hidden_fractions
 from occlib.recordings import Recording, check_size
-from occlib.registration import FloorWarp, PolarWarp
+from occlib.registration import FloorWarp
 from occlib.tracking import ObjectVector, Observation, Tracker
 
-HIDDEN = 0.9
-"""An object is *hidden* in a view from this fraction on."""
-HIDDEN_ESTIMATE = 0.96
-"""The same for the estimate from cylinders, which lose a little of what still sticks out."""
 NEAR_M = 0.02
 """What a sharp silhouette may lack of an object's rim on the floor, in m."""
-PLANES_M = (0.0, 0.1, 0.3, 0.6, 1.0, 1.4)
-"""Heights at which something that stands is looked for: where feet are hidden, the body still places it."""
-LIKENESS, DISTINCT = 38.0, 1.1
-"""Mean absolute difference, in grey levels, up to which an object resembles a template, and by how much another must be worse."""
 
 
 @dataclass(frozen=True)
@@ -57,16 +47,16 @@ class Settings:
     smoothing_px
         Side of the Gaussian in px, odd.
     threshold
-        ``"evidence"``: shadows and reflections left out, :func:`occlib.foreground.foreground_evidence`. Else the difference is
+        ``"evidence"``: shadows and reflections left out, :func:`occlib.foreground.shadows.foreground_evidence`. Else the difference is
         thresholded: ``"otsu"``, ``"half-otsu"``, ``"triangle"``, ``"noise"`` or grey levels; see
-        :func:`occlib.foreground.threshold_level`.
+        :func:`occlib.foreground.threshold.threshold_level`.
     min_level
         Grey levels that a threshold found by a rule is never below.
     core
         Evidence above this many times the threshold (before ``min_level``) is an object's core; a region with several
         cores is split. 0: never.
     rule
-        ``"explain"``: the fewest objects that explain all silhouettes, :func:`occlib.explaining.explain`. Else a fusion rule
+        ``"explain"``: the fewest objects that explain all silhouettes, :func:`occlib.explaining.search.explain`. Else a fusion rule
         of :func:`occlib.occlusion.fuse`, whose regions are the objects; what follows below is for these.
     join_m
         Fragments of evidence no further apart are one object, if every view connects them.
@@ -446,158 +436,6 @@ class Pipeline:
         reason[count == 0] = BLIND
         reason[labels > 0] = 0
         return occupancy_map(labels > 0, reason == 0, floor), reason
-
-
-class _Explainer:
-    """Turns the views' evidence into polar views, and keeps the last instant's objects."""
-
-    def __init__(self, rig: Rig, backgrounds: Mapping[str, Background], how: Explanation = DEFAULT) -> None:
-        self.how, self.before = how, list[Cylinder]()
-        # a picture of fewer px is sampled finer: the objects are as large
-        self.polar = {n: PolarWarp(c, rig.floor, 3.0 * min(1.0, c.size[0] / 640)) for n, c in rig.cameras.items()}
-        # a dark background says little against a dark object
-        light = {
-            n: w.warp(cv2.GaussianBlur(backgrounds[n].image, (9, 9), 0)).mean(axis=2) for n, w in self.polar.items()
-        }
-        self.certain = {
-            n: (np.clip((l - 40) / 60, 0.05, 1) * how.background).astype(np.float32) for n, l in light.items()
-        }
-        self.coarse = Floor(rig.floor.x, rig.floor.y, max(how.grid_m, rig.floor.resolution))
-        self.planes = {n: [FloorWarp(c, self.coarse, h) for h in PLANES_M] for n, c in rig.cameras.items()}
-        self.visible = {n: np.stack([plane.visible for plane in planes]) for n, planes in self.planes.items()}
-
-    def explain(self, evidence: Mapping[str, tuple[Image, int]]) -> list[Cylinder]:
-        """The objects of this instant from each camera's evidence and the level above which it is foreground."""
-        views = []
-        for name, warp in self.polar.items():
-            if name in evidence:
-                picture, level = evidence[name]
-                soft = _weights(level)[warp.warp(picture)]
-                soft = np.where(soft > 0, soft, soft * self.certain[name]) * warp.visible
-                views.append((warp.parameters, soft.astype(np.int32), warp.visible))
-            else:
-                views.append((warp.parameters, np.zeros(warp.shape, np.int32), np.zeros(warp.shape, bool)))
-        self.evidence = PolarEvidence.of(views)
-        if evidence:
-            votes = [
-                np.stack([plane.warp(e) > at for plane in self.planes[name]]) for name, (e, at) in evidence.items()
-            ]
-            visible = [self.visible[name] for name in evidence]
-            places = standing_places(votes, visible, self.coarse, level=0, views=min(2, len(self.polar)))
-            self.before = explain(self.evidence, places, before=self.before, how=self.how)
-        else:
-            self.before = []
-        return self.before
-
-    def state(self, cameras: Iterable[str]) -> tuple[FloatArray, npt.NDArray[np.int64]]:
-        """Hidden fractions of the objects, (n, cameras), and what hides them."""
-        fractions, by = occlusion_state(self.evidence, self.before)
-        chosen = [list(self.polar).index(name) for name in cameras]
-        return fractions[:, chosen], by[:, chosen]
-
-
-def _weights(level: int) -> npt.NDArray[np.float32]:
-    """Evidence 0 to 255 to weights -255 to 255, 0 at the level: straight for soft evidence, steep for a difference."""
-    steep = 255 / 127.5 if level == SURE - 1 else 2.5 * 255 / max(level, 1)
-    return np.clip((np.arange(256) - (level + 0.5)) * steep, -255, 255).astype(np.float32)
-
-
-def footprints(things: Sequence[Cylinder], occupied: Mask, floor: Floor) -> npt.NDArray[np.int32]:
-    """The cells of each object: those under the cylinder, and evidence within a quarter radius + 5 cm of it.
-
-    Returns
-    -------
-    int32 (ny, nx): 0, or the object's index plus 1; a cell between two belongs to the nearer rim.
-    """
-    labels, nearest = np.zeros(floor.shape, np.int32), np.full(floor.shape, np.inf, np.float32)
-    for number, thing in enumerate(things, start=1):
-        spare = 0.05 + 0.25 * thing.radius
-        reach = thing.radius + spare
-        low, high = floor.cells([[thing.x - reach, thing.y - reach], [thing.x + reach, thing.y + reach]])
-        (x0, y0), (x1, y1) = (np.clip(corner, 0, floor.shape[::-1]).astype(int) for corner in (low, high + 2))
-        iy, ix = np.mgrid[y0:y1, x0:x1]
-        x = floor.x[0] + (ix + 0.5) * floor.resolution
-        y = floor.y[0] + (iy + 0.5) * floor.resolution
-        rim = (np.hypot(x - thing.x, y - thing.y) - thing.radius).astype(np.float32)
-        mine = (rim < nearest[iy, ix]) & ((rim <= 0) | ((rim <= spare) & occupied[iy, ix]))
-        nearest[iy[mine], ix[mine]] = rim[mine]
-        labels[iy[mine], ix[mine]] = number
-    return labels
-
-
-def _confirmed_first(
-    labels: npt.NDArray[np.int32], objects: Sequence[ObjectVector]
-) -> tuple[npt.NDArray[np.int32], Mask]:
-    """Labels of the confirmed objects alone, renumbered, and the cells of the others."""
-    real = np.array([thing.id > 0 for thing in objects], bool)
-    if real.all():
-        return labels, np.zeros(labels.shape, bool)
-    confirmed = _new_labels(real)[labels]
-    return confirmed, (labels > 0) & (confirmed == 0)
-
-
-def _new_labels(kept: Mask) -> npt.NDArray[np.int32]:
-    """The new label of each old one, 0 to n: 1, 2, ... for what is kept, 0 for the rest."""
-    return np.concatenate([[0], np.where(kept, np.cumsum(kept), 0)]).astype(np.int32)
-
-
-def _template(label: str, picture: Any) -> tuple[Image, Mask | None]:
-    """A template's colours and the pixels that count."""
-    picture = np.asarray(picture)
-    if picture.dtype != np.uint8 or picture.ndim != 3 or picture.shape[2] not in (3, 4) or min(picture.shape[:2]) < 4:
-        raise ValueError(
-            f"templates[{label!r}]: expected uint8 RGB or RGBA of 4 x 4 px or more, got {picture.dtype} {picture.shape}"
-        )
-    if picture.shape[2] == 3:
-        return picture, None
-    if not (picture[..., 3] > 127).any():
-        raise ValueError(f"templates[{label!r}]: expected pixels that are more opaque than not, got none")
-    return np.ascontiguousarray(picture[..., :3]), picture[..., 3] > 127
-
-
-def _likeness(window: Image, picture: Image, mask: Mask | None, height: int) -> float:
-    """Least mean absolute difference of a template, resized to about ``height``, in a window; infinite if it does not fit."""
-    best = np.inf
-    for scale in height / len(picture) * np.array([0.8, 0.9, 1.0, 1.1, 1.25]):
-        size = tuple(round(float(scale * side)) for side in picture.shape[1::-1])
-        if 4 <= min(size) and size[0] <= window.shape[1] and size[1] <= window.shape[0]:
-            resized = cv2.resize(picture, size, interpolation=cv2.INTER_AREA)
-            used = None if mask is None else cv2.resize(mask.view(np.uint8), size).astype(bool)
-            if used is None or used.any():
-                best = min(best, float(similarity(window, resized, "sad", used).min()))
-    return best
-
-
-def _box(thing: Cylinder, rig: Rig, name: str) -> tuple[int, int, int, int]:
-    """Left, top, right and bottom of an object in a view, in whole px; it may reach beyond the picture."""
-    turn = np.linspace(0, 2 * np.pi, 24, endpoint=False)
-    ring = np.column_stack([thing.x + thing.radius * np.cos(turn), thing.y + thing.radius * np.sin(turn)])
-    points = rig[name].project(np.vstack([np.column_stack([ring, np.full(24, z)]) for z in (0.0, thing.height)]))
-    left, top = np.floor(points.min(axis=0)).astype(int).tolist()
-    right, bottom = np.ceil(points.max(axis=0)).astype(int).tolist()
-    return left, top, right, bottom
-
-
-def _visible(hidden: FloatArray, cameras: Iterable[str]) -> dict[str, float]:
-    pairs = zip(cameras, hidden, strict=True)
-    return {name: round(float(1 - fraction), 4) for name, fraction in pairs if np.isfinite(fraction)}
-
-
-def _hidden_in(hidden: FloatArray, cameras: Iterable[str], limit: float) -> tuple[str, ...]:
-    return tuple(name for name, fraction in zip(cameras, hidden, strict=True) if fraction >= limit)
-
-
-def _hidden_by(
-    objects: Sequence[ObjectVector], hidden: FloatArray, by: npt.NDArray[np.int64], cameras: Sequence[str]
-) -> list[dict[str, tuple[float, int]]]:
-    return [
-        {
-            name: (float(hidden[i, k]), objects[by[i, k]].id if by[i, k] >= 0 else -1)
-            for k, name in enumerate(cameras)
-            if hidden[i, k] > 0.5
-        }
-        for i in range(len(objects))
-    ]
 
 
 def backgrounds_of(recording: Recording, *, samples: int = 60, progress: bool = False) -> dict[str, Background]:

@@ -8,11 +8,7 @@ from __future__ import annotations
 
 import os
 import re
-import shutil
-import tempfile
-import zlib
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -20,153 +16,28 @@ from typing import Any
 import cv2
 import numpy as np
 
-from occlib.geometry import Image, Rig, read_yaml
+from occlib.base.arrays import Image
+from occlib.base.files import read_image, read_yaml, write_file
+from occlib.geometry import Rig
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg")
+
+
 VIDEO_SUFFIXES = (".mp4", ".avi")
+
+
 DATA = Path(__file__).resolve().parent.parent / "data"
+
+
 LAB = DATA / "lab"
+
+
 DEFAULT_FPS = 10.0
-PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
+
 
 os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # a corrupt video is reported here, in one line, not by FFmpeg
 
 
-# --- files -----------------------------------------------------------------------------------------
-def write_file(path: str | Path, content: bytes | str) -> Path:
-    """Write a file whole: under a temporary name first, then renamed over ``path``.
-
-    Raises ``ValueError`` in one line when the folder is read-only, missing or the disk is full; nothing
-    half-written is left.
-    """
-    target = Path(path)
-    temporary = None
-    try:
-        target.parent.mkdir(parents=True, exist_ok=True)
-        handle, temporary = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.")
-        with os.fdopen(handle, "wb") as stream:
-            stream.write(content.encode() if isinstance(content, str) else content)
-        mask = os.umask(0)
-        os.umask(mask)
-        os.chmod(temporary, 0o666 & ~mask)  # mkstemp makes files that only their owner may read
-        os.replace(temporary, target)
-    except OSError as error:
-        raise ValueError(f"{target}: cannot write ({error.strerror})") from None
-    finally:
-        if temporary and os.path.exists(temporary):
-            os.unlink(temporary)
-    return target
-
-
-@contextmanager
-def staged_folder(path: str | Path) -> Iterator[Path]:
-    """A temporary folder inside ``path`` whose files move to ``path`` when all went well, and vanish otherwise.
-
-    Made at once, so that a folder that cannot be written is found out before the work.
-    """
-    target = Path(path)
-    made = not target.exists()
-    temporary = None
-    try:
-        try:
-            target.mkdir(parents=True, exist_ok=True)
-            temporary = Path(tempfile.mkdtemp(dir=target, prefix=".occlib."))
-        except OSError as error:
-            raise ValueError(f"{target}: cannot write ({error.strerror})") from None
-        yield temporary
-        try:
-            files = sorted(p for p in temporary.rglob("*") if p.is_file())
-            targets = [target / file.relative_to(temporary) for file in files]
-            if blocked := [final for final in targets if final.is_dir()]:
-                raise ValueError(f"{blocked[0]}: cannot write (is a directory)")
-            parents = {p for final in targets for p in final.parents if p.is_relative_to(target)}
-            if blocked := sorted(p for p in parents if p.exists() and not p.is_dir()):
-                raise ValueError(f"{blocked[0]}: cannot write (a file is in the way of the folder)")
-            for file, final in zip(files, targets, strict=True):
-                final.parent.mkdir(parents=True, exist_ok=True)
-                os.replace(file, final)
-        except OSError as error:
-            raise ValueError(f"{target}: cannot write ({error.strerror})") from None
-    finally:
-        if temporary:
-            shutil.rmtree(temporary, ignore_errors=True)
-        if made and target.is_dir() and not any(target.iterdir()):
-            target.rmdir()
-
-
-def read_image(path: str | Path, *, alpha: bool = False) -> Image:
-    """An image file as uint8 RGB, shape (H, W, 3).
-
-    With ``alpha`` it is RGBA, (H, W, 4), 255 opaque, if the file has an alpha channel.
-    """
-    try:
-        data = np.frombuffer(Path(path).read_bytes(), np.uint8)
-    except OSError as error:
-        raise ValueError(f"{path}: cannot read the image ({error.strerror})") from None
-    whole = len(data) > 0 and (data[:8].tobytes() != PNG_SIGNATURE or _whole_png(data.tobytes()))
-    image = cv2.imdecode(data, cv2.IMREAD_COLOR) if whole else None  # a cut PNG would make libpng talk on stderr
-    if image is None:
-        raise ValueError(f"{path}: corrupt or not an image (expected PNG or JPEG)")
-    rgb = cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
-    return np.dstack([rgb, *_alpha(data)]) if alpha else rgb
-
-
-def _alpha(data: Image) -> list[Image]:
-    """The alpha channel of an encoded picture, uint8 (H, W), or nothing if it has none."""
-    image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED)
-    if image is None or image.ndim != 3 or image.shape[2] != 4:
-        return []
-    return [(image[..., 3] // (1 if image.dtype == np.uint8 else 257)).astype(np.uint8)]
-
-
-def read_templates(folder: str | Path) -> dict[str, Image]:
-    """Pictures of known objects, ``LABEL.png``: ``{label: uint8 RGBA (H, W, 4)}``; what is transparent does not count."""
-    templates = {}
-    for path in sorted(Path(folder).glob("*.png")):
-        picture = read_image(path, alpha=True)
-        opaque = np.full((*picture.shape[:2], 1), 255, np.uint8)
-        templates[path.stem] = picture if picture.shape[2] == 4 else np.dstack([picture, opaque])
-    if not templates:
-        raise ValueError(f"{folder}: expected pictures named LABEL.png, found none")
-    return templates
-
-
-def _whole_png(data: bytes) -> bool:
-    """Whether every chunk of a PNG is there and has its checksum."""
-    at = 8
-    while len(data) >= at + 12:
-        length = int.from_bytes(data[at : at + 4], "big")
-        name, check = data[at + 4 : at + 8], data[at + 8 + length : at + 12 + length]
-        if int.from_bytes(check, "big") != zlib.crc32(data[at + 4 : at + 8 + length]) or len(check) < 4:
-            return False
-        if name == b"IEND":
-            return True
-        at += 12 + length
-    return False
-
-
-def encode_image(suffix: str, image: Image, *, quality: int = 92) -> bytes:
-    """A uint8 grey (H, W) or RGB (H, W, 3) image as the bytes of a .png, .jpg or .pgm file; RGBA (H, W, 4) as .png."""
-    if image.dtype != np.uint8 or image.ndim not in (2, 3) or image.size == 0:
-        raise ValueError(f"image: expected uint8 (H, W) or (H, W, 3), got {image.dtype} {image.shape}")
-    if image.ndim == 3 and image.shape[2] == 4 and suffix == ".png":
-        bgr = cv2.cvtColor(image, cv2.COLOR_RGBA2BGRA)
-    else:
-        bgr = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_RGB2BGR)
-    jpeg = [cv2.IMWRITE_JPEG_QUALITY, quality, cv2.IMWRITE_JPEG_OPTIMIZE, 1]
-    options = jpeg if suffix in (".jpg", ".jpeg") else [cv2.IMWRITE_PNG_COMPRESSION, 9] if suffix == ".png" else []
-    done, data = cv2.imencode(suffix, bgr, options)
-    if not done:
-        raise ValueError(f"image: cannot encode as {suffix}")
-    return bytes(data.tobytes())
-
-
-def write_image(path: str | Path, image: Image) -> Path:
-    """Write a uint8 grey or RGB image; the suffix chooses the format."""
-    return write_file(path, encode_image(Path(path).suffix, image))
-
-
-# --- recordings --------------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class Recording:
     """A recording on disk: where each camera's frames are, and which instants there are.
@@ -397,7 +268,6 @@ def _reader(source: Path | tuple[Path | None, ...], frames: Sequence[int], wante
         video.release()
 
 
-# --- public data -------------------------------------------------------------------------------------
 def cache_folder() -> Path:
     """Where fetched recordings are kept: ``OCCLIB_CACHE``, or the user's cache folder."""
     import pooch

@@ -9,7 +9,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from occlib.geometry import Camera, FloatArray, Floor, Image, Mask, apply_homography
+from occlib.base.arrays import FloatArray, Image, Mask
+from occlib.geometry import Camera, Floor, apply_homography
 
 
 class _Warp:
@@ -80,74 +81,6 @@ class FloorWarp(_Warp):
             pixels = self.camera.floor_to_pixels(cells)
         pixels[~self.camera.inside(pixels)] = np.nan
         return pixels.reshape(*self.floor.shape, 2)
-
-
-@dataclass(frozen=True)
-class PolarWarp(_Warp):
-    """Takes a camera's images to its polar view: a column is an azimuth about the camera, a row an angle of depression.
-
-    A vertical line of the world, whatever its distance, is a vertical line of the polar view: an upright object covers in
-    each column one run of rows, from the near edge of its base (below) to the far edge of its top. Such runs are known as
-    stixels (Badino et al. 2009, doi:10.1007/978-3-642-03798-6_6).
-
-    Parameters
-    ----------
-    camera, floor
-        From the rig.
-    step_px
-        Angle between two samples, in px of the camera at the middle of its picture.
-    """
-
-    camera: Camera
-    floor: Floor
-    step_px: float = 3.0
-
-    @cached_property
-    def step(self) -> float:
-        """Angle between neighbouring columns, and rows, in rad."""
-        return self.step_px / float(np.sqrt(self.camera.matrix[0, 0] * self.camera.matrix[1, 1]))
-
-    @cached_property
-    def _ranges(self) -> tuple[float, float, float, float, float]:
-        """Azimuth of the floor's middle; azimuths relative to it and depressions that the picture spans, in rad."""
-        width, height = self.camera.size
-        u, v = np.meshgrid(np.linspace(0, width - 1, 65), np.linspace(0, height - 1, 49))
-        ideal = self.camera.undistort_points(np.column_stack([u.ravel(), v.ravel()]))
-        ideal = (ideal - self.camera.matrix[:2, 2]) / self.camera.matrix[[0, 1], [0, 1]]
-        rays = np.column_stack([ideal, np.ones(len(ideal))]) @ self.camera.pose[0]
-        to_middle = np.array([np.mean(self.floor.x), np.mean(self.floor.y)]) - self.camera.centre_m[:2]
-        middle = float(np.arctan2(to_middle[1], to_middle[0]))
-        azimuth = (np.arctan2(rays[:, 1], rays[:, 0]) - middle + np.pi) % (2 * np.pi) - np.pi
-        depression = np.arctan2(-rays[:, 2], np.hypot(rays[:, 0], rays[:, 1]))
-        return middle, azimuth.min(), azimuth.max(), max(depression.min(), -0.5), depression.max()
-
-    @cached_property
-    def shape(self) -> tuple[int, int]:
-        """Rows and columns."""
-        _, left, right, top, bottom = self._ranges
-        return int(np.ceil((bottom - top) / self.step)) + 1, int(np.ceil((right - left) / self.step)) + 1
-
-    @cached_property
-    def parameters(self) -> FloatArray:
-        """Station x, y and height in m, azimuth of the middle, of column 0 relative to it, depression of row 0, step in rad,
-        and the weight of a sample: its solid angle over that of a px of a VGA camera of 70 degrees, squared steps of 4.5 mrad.
-        """
-        middle, left, _, top, _ = self._ranges
-        return np.array([*self.camera.centre_m, middle, left, top, self.step, (self.step / 0.0045) ** 2])
-
-    @cached_property
-    def pixels(self) -> FloatArray:
-        """Raw px of every sample, (rows, columns, 2); NaN where the camera does not see it."""
-        middle, left, _, top, _ = self._ranges
-        rows, columns = self.shape
-        azimuth, depression = np.meshgrid(
-            middle + left + np.arange(columns) * self.step, top + np.arange(rows) * self.step
-        )
-        flat = np.cos(depression)
-        rays = np.stack([np.cos(azimuth) * flat, np.sin(azimuth) * flat, -np.sin(depression)], axis=-1)
-        pixels = self.camera.project(self.camera.centre_m + rays.reshape(-1, 3))
-        pixels[~self.camera.inside(pixels)] = np.nan
-        return pixels.reshape(rows, columns, 2)
 
 
 def undistort(image: Image, camera: Camera) -> Image:

@@ -18,13 +18,20 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from occlib.geometry import FloatArray
+from occlib.base.arrays import FloatArray
 
 Point: TypeAlias = tuple[float, float]
+
+
 Colour: TypeAlias = tuple[int, int, int]
 
+
 _COLOUR_RANGE = 255 * math.sqrt(3)  # black to white
+
+
 _BIRTH_SPEED = 1.0  # m/s, standard deviation of a new object's velocity
+
+
 _FORBIDDEN = 1e9  # m, cost of a pair outside the gate
 
 

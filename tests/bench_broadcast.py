@@ -23,7 +23,8 @@ import pandas as pd
 import psutil
 from tqdm import tqdm
 
-from occlib.broadcast import Listener, Publisher, encode
+from occlib.live.broadcast import Listener, Publisher
+from occlib.live.messages import encode
 from occlib.pipeline import Pipeline, backgrounds_of
 from occlib.recordings import open_recording
 

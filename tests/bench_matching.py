@@ -17,10 +17,12 @@ import pandas as pd
 from bench_pipeline import median_ms
 from skimage.feature import match_template
 
-from occlib.experiments import find_root
-from occlib.foreground import to_grey
-from occlib.matching import METHODS, find, similarity
-from occlib.recordings import open_recording, write_file
+from occlib.base.files import write_file
+from occlib.foreground.intensity import to_grey
+from occlib.matching.measures import METHODS
+from occlib.matching.search import find, similarity
+from occlib.recordings import open_recording
+from occlib.reproduce.runner import find_root
 
 Array = npt.NDArray[Any]
 SIDE = 64

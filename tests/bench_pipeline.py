@@ -16,10 +16,11 @@ import cv2
 import numpy as np
 import pandas as pd
 
-from occlib.crowds import wall_rig
+from occlib.lab.crowds import wall_rig
+from occlib.lab.scenes import load_scene
+from occlib.lab.truth import silhouettes
 from occlib.pipeline import PROFILES, Pipeline, backgrounds_of, settings_for
 from occlib.recordings import open_recording
-from occlib.synthetic import load_scene, silhouettes
 
 FRAMES = range(40, 64)
 """Of four_robots: all four drive, some hidden, played forwards and backwards so that nothing jumps."""

@@ -13,9 +13,9 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from occlib import calibration as cal
+from occlib import calibration
+from occlib.base.files import write_image
 from occlib.geometry import Camera, Rig, apply_homography
-from occlib.recordings import write_image
 
 SHARED = Path(__file__).parents[2] / "shared/data"
 BOARDS, UFES = SHARED / "opencv-checkerboard", SHARED / "ufes-lab"
@@ -50,7 +50,7 @@ def lens() -> Camera:
 
 def planted_views(count: int = 12) -> list[np.ndarray[Any, Any]]:
     rng = np.random.default_rng(7)
-    board = cal.board_points(PATTERN, SQUARE)
+    board = calibration.board_points(PATTERN, SQUARE)
     views = []
     for _ in range(count):
         turn = rotation(*rng.uniform(-0.5, 0.5, 3))
@@ -77,92 +77,92 @@ def drawn_board(corner: tuple[float, float] = (60.0, 50.0), square: float = 22.0
 def test_board_is_found_where_it_was_drawn() -> None:
     grey, truth = drawn_board()
     before = grey.copy()
-    found = cal.find_checkerboard(grey, PATTERN)
+    found = calibration.find_checkerboard(grey, PATTERN)
     assert found is not None and found.shape == (54, 2) and found.dtype == np.float64
     assert np.abs(found - truth).max() < 0.1
     assert np.array_equal(grey, before)
-    rgb = cal.find_checkerboard(np.dstack([grey] * 3), PATTERN)
+    rgb = calibration.find_checkerboard(np.dstack([grey] * 3), PATTERN)
     assert rgb is not None and np.allclose(rgb, found, atol=0.01)
 
 
 def test_neighbouring_corners_of_a_small_board_do_not_pull() -> None:
     grey, truth = drawn_board(square=12.0)
-    found = cal.find_checkerboard(grey, PATTERN)
+    found = calibration.find_checkerboard(grey, PATTERN)
     assert found is not None and np.abs(found - truth).max() < 0.15
-    assert np.abs(cal.refine_corners(grey, truth, window_px=11) - truth).max() > 1  # what a fixed window does
+    assert np.abs(calibration.refine_corners(grey, truth, window_px=11) - truth).max() > 1  # what a fixed window does
 
 
 def test_the_order_of_corners_depends_on_the_picture_only() -> None:
     grey, truth = drawn_board()
-    turned = cal.find_checkerboard(np.ascontiguousarray(grey[::-1, ::-1]), PATTERN)
+    turned = calibration.find_checkerboard(np.ascontiguousarray(grey[::-1, ::-1]), PATTERN)
     assert turned is not None
     assert np.abs(turned - ([319, 239] - truth[::-1])).max() < 0.1  # again from the top left
-    again = cal.find_checkerboard(np.ascontiguousarray(grey[::-1, ::-1]), PATTERN)
+    again = calibration.find_checkerboard(np.ascontiguousarray(grey[::-1, ::-1]), PATTERN)
     assert again is not None and np.array_equal(turned, again)
 
 
 def test_no_board_is_none() -> None:
     noise = np.random.default_rng(0).integers(0, 255, (240, 320), dtype=np.uint8)
-    assert cal.find_checkerboard(noise, PATTERN) is None
-    assert cal.find_checkerboard(np.full((240, 320, 3), 128, np.uint8), PATTERN) is None
+    assert calibration.find_checkerboard(noise, PATTERN) is None
+    assert calibration.find_checkerboard(np.full((240, 320, 3), 128, np.uint8), PATTERN) is None
 
 
 def test_hand_marks_move_to_the_corner() -> None:
     grey, truth = drawn_board()
     marks = truth + np.random.default_rng(3).uniform(-2, 2, truth.shape)
     before = marks.copy()
-    refined = cal.refine_corners(grey, marks)
+    refined = calibration.refine_corners(grey, marks)
     assert np.abs(refined - truth).max() < 0.1 < np.abs(marks - truth).max()
     assert np.array_equal(marks, before)
-    assert cal.refine_corners(grey, np.empty((0, 2))).shape == (0, 2)
+    assert calibration.refine_corners(grey, np.empty((0, 2))).shape == (0, 2)
 
 
 def test_a_mark_on_a_flat_patch_stays() -> None:
-    assert cal.refine_corners(np.full((60, 60), 99, np.uint8), [[30.0, 31.0]]).tolist() == [[30.0, 31.0]]
+    assert calibration.refine_corners(np.full((60, 60), 99, np.uint8), [[30.0, 31.0]]).tolist() == [[30.0, 31.0]]
 
 
 @pytest.mark.parametrize("text", ["9", "9x", "axb", "9x6x2", "-9x6", "2x6", ""])
 def test_wrong_pattern_texts(text: str) -> None:
     with pytest.raises(ValueError, match="pattern: expected"):
-        cal.parse_pattern(text)
+        calibration.parse_pattern(text)
 
 
 def test_wrong_images_and_marks() -> None:
     grey, _ = drawn_board()
     with pytest.raises(ValueError, match=r"image: expected uint8 \(H, W\) or \(H, W, 3\), got float64 \(240, 320\)"):
-        cal.find_checkerboard(grey.astype(float), PATTERN)
+        calibration.find_checkerboard(grey.astype(float), PATTERN)
     with pytest.raises(ValueError, match=r"pattern: expected \(columns, rows\).*got \(2, 6\)"):
-        cal.find_checkerboard(grey, (2, 6))
+        calibration.find_checkerboard(grey, (2, 6))
     with pytest.raises(ValueError, match=r"marks_px: expected points in the 320x240 image, got \[400.0, 5.0\]"):
-        cal.refine_corners(grey, [[10, 10], [400, 5]])
+        calibration.refine_corners(grey, [[10, 10], [400, 5]])
     with pytest.raises(ValueError, match="marks_px: expected points in the 320x240 image"):
-        cal.refine_corners(grey, [[np.nan, 10]])
+        calibration.refine_corners(grey, [[np.nan, 10]])
     with pytest.raises(ValueError, match="window_px: expected a half side >= 1 px, got 0"):
-        cal.refine_corners(grey, [[10, 10]], window_px=0)
+        calibration.refine_corners(grey, [[10, 10]], window_px=0)
     with pytest.raises(ValueError, match="image: expected at least 15 px a side, got 9x9"):
-        cal.refine_corners(grey[:9, :9], [[3, 3]])
+        calibration.refine_corners(grey[:9, :9], [[3, 3]])
     with pytest.raises(ValueError, match="square: expected metres > 0, got 0"):
-        cal.board_points(PATTERN, 0)
+        calibration.board_points(PATTERN, 0)
 
 
 # --- intrinsics ------------------------------------------------------------------------------------
 def test_planted_camera_is_recovered_from_exact_corners() -> None:
-    views, board = planted_views(), cal.board_points(PATTERN, SQUARE)
+    views, board = planted_views(), calibration.board_points(PATTERN, SQUARE)
     before = [view.copy() for view in views]
-    found = cal.calibrate(views, board, SIZE)
+    found = calibration.calibrate(views, board, SIZE)
     assert found.rms_px < 1e-3 and found.views_used == 12
     assert np.abs(found.matrix - MATRIX).max() < 0.05
     assert np.abs(found.distortion[:4] - DISTORTION[:4]).max() < 5e-3
     assert all(np.array_equal(a, b) for a, b in zip(views, before, strict=True))
     for i, view in enumerate(views):  # the poses explain the views, by our own reckoning
-        errors = cal.reprojection_error(found, found.rotations[i], found.translations[i], board, view)
+        errors = calibration.reprojection_error(found, found.rotations[i], found.translations[i], board, view)
         assert np.sqrt((errors**2).mean()) == pytest.approx(found.view_rms_px[i], abs=1e-5)
 
 
 def test_noise_shows_in_the_rms() -> None:
     rng = np.random.default_rng(5)
     views = [view + rng.normal(0, 0.2, view.shape) for view in planted_views()]
-    found = cal.calibrate(views, cal.board_points(PATTERN, SQUARE), SIZE)
+    found = calibration.calibrate(views, calibration.board_points(PATTERN, SQUARE), SIZE)
     assert found.rms_px == pytest.approx(0.2 * np.sqrt(2), rel=0.1)
     assert np.sqrt((found.view_rms_px**2).mean()) == pytest.approx(found.rms_px)
     assert found.matrix[0, 0] == pytest.approx(530, abs=5)
@@ -170,13 +170,13 @@ def test_noise_shows_in_the_rms() -> None:
 
 def test_the_unit_of_the_board_does_not_change_the_camera() -> None:
     views = planted_views(5)
-    small, large = (cal.calibrate(views, cal.board_points(PATTERN, s), SIZE) for s in (0.025, 0.05))
+    small, large = (calibration.calibrate(views, calibration.board_points(PATTERN, s), SIZE) for s in (0.025, 0.05))
     assert large.matrix == pytest.approx(small.matrix, abs=0.01)
     assert large.translations == pytest.approx(2 * small.translations, rel=1e-4)
 
 
 def test_views_that_do_not_fix_the_camera() -> None:
-    views, board = planted_views(3), cal.board_points(PATTERN, SQUARE)
+    views, board = planted_views(3), calibration.board_points(PATTERN, SQUARE)
     frontal = seen(board, np.eye(3), np.array([-0.1, -0.06, 0.4]))
     cases: list[tuple[list[Any], str]] = [
         (views[:2], "corner_sets: expected at least 3 views, got 2"),
@@ -187,7 +187,7 @@ def test_views_that_do_not_fix_the_camera() -> None:
     ]
     for corner_sets, message in cases:
         with pytest.raises(ValueError, match=message):
-            cal.calibrate(corner_sets, board, SIZE)
+            calibration.calibrate(corner_sets, board, SIZE)
 
 
 def test_images_without_a_board_are_skipped_and_named(
@@ -198,28 +198,28 @@ def test_images_without_a_board_are_skipped_and_named(
     paths += [write_image(tmp_path / f"{i}.png", drawn_board(tilt=0.1 * i)[0]) for i in range(2)]
     message = "images: a 9x6 board is in 2 of 3 images, at least 3 are needed"
     with pytest.raises(ValueError, match=message):
-        cal.calibrate_images(paths, PATTERN, SQUARE, progress=True)
+        calibration.calibrate_images(paths, PATTERN, SQUARE, progress=True)
     lines = capsys.readouterr().err.splitlines()
     assert [line.rpartition(": ")[2] for line in lines] == ["no board, skipped", "board found", "board found"]
     with pytest.raises(ValueError, match="images: a 9x6 board is in 0 of 0 images"):
-        cal.calibrate_images([], PATTERN, SQUARE)
+        calibration.calibrate_images([], PATTERN, SQUARE)
 
 
 def test_images_of_different_size_or_not_images(tmp_path: Path) -> None:
     first = write_image(tmp_path / "a.png", drawn_board()[0])
     second = write_image(tmp_path / "b.png", drawn_board()[0][:200])
     with pytest.raises(ValueError, match=r"b.png: expected 320x240 px like .*a.png, got 320x200"):
-        cal.calibrate_images([first, second], PATTERN, SQUARE)
+        calibration.calibrate_images([first, second], PATTERN, SQUARE)
     (tmp_path / "c.png").write_text("no picture")
     with pytest.raises(ValueError, match=r"c.png: corrupt or not an image"):
-        cal.calibrate_images([tmp_path / "c.png"], PATTERN, SQUARE)
+        calibration.calibrate_images([tmp_path / "c.png"], PATTERN, SQUARE)
 
 
 @needs_boards
 def test_real_photographs_reach_opencvs_own_reference(tmp_path: Path) -> None:
     paths = sorted(BOARDS.glob("left*.jpg"))
     blank = write_image(tmp_path / "blank.png", np.full((480, 640), 128, np.uint8))
-    found = cal.calibrate_images([*paths, blank], PATTERN, SQUARE)
+    found = calibration.calibrate_images([*paths, blank], PATTERN, SQUARE)
     assert found.rms_px <= 0.41
     assert found.matrix[0, 0] == pytest.approx(535.9, abs=2.0)
     assert (found.views_used, len(found.images_used)) == (13, 13)
@@ -247,7 +247,7 @@ def planted_homography() -> np.ndarray[Any, Any]:
 def test_planted_floor_homography_is_recovered_from_marks() -> None:
     pixels, floor = planted_marks()
     before = pixels.copy(), floor.copy()
-    fit = cal.floor_homography_from_marks(lens(), pixels, floor)
+    fit = calibration.floor_homography_from_marks(lens(), pixels, floor)
     assert np.abs(fit.image_to_floor - planted_homography()).max() < 1e-6
     assert fit.leave_one_out_m is not None
     assert max(fit.error_m.max(), fit.leave_one_out_m.max()) < 1e-6 and fit.error_px.max() < 1e-5
@@ -257,14 +257,14 @@ def test_planted_floor_homography_is_recovered_from_marks() -> None:
 def test_four_marks_fit_exactly_and_leave_none_to_check_with() -> None:
     floor = np.array([[-0.5, -0.4], [0.9, -0.4], [0.8, 0.9], [-0.6, 0.7]])
     pixels = seen(np.column_stack([floor, np.zeros(4)]), *planted_pose())
-    fit = cal.floor_homography_from_marks(lens(), pixels, floor)
+    fit = calibration.floor_homography_from_marks(lens(), pixels, floor)
     assert np.abs(fit.image_to_floor - planted_homography()).max() < 1e-6 and fit.leave_one_out_m is None
 
 
 def test_one_bad_mark_stands_out_when_left_out() -> None:
     pixels, floor = planted_marks()
     pixels[4] += [6.0, 0.0]
-    fit = cal.floor_homography_from_marks(lens(), pixels, floor)
+    fit = calibration.floor_homography_from_marks(lens(), pixels, floor)
     assert fit.leave_one_out_m is not None
     assert int(np.argmax(fit.leave_one_out_m)) == 4
     assert fit.leave_one_out_m[4] > 1.5 * fit.error_m[4] > 0
@@ -273,7 +273,7 @@ def test_one_bad_mark_stands_out_when_left_out() -> None:
 def test_homography_has_the_least_squares_in_px() -> None:
     pixels, floor = planted_marks()
     pixels = pixels + np.random.default_rng(4).normal(0, 2, pixels.shape)
-    fit = cal.floor_homography_from_marks(lens(), pixels, floor)
+    fit = calibration.floor_homography_from_marks(lens(), pixels, floor)
     ideal, best = lens().undistort_points(pixels), np.linalg.inv(fit.image_to_floor)
     assert np.linalg.norm(apply_homography(best, floor) - ideal, axis=1) == pytest.approx(fit.error_px)
     for index in np.ndindex(3, 3):
@@ -285,7 +285,7 @@ def test_homography_has_the_least_squares_in_px() -> None:
 
 
 def test_board_on_the_floor_is_seen_in_the_order_in_which_it_is_found() -> None:
-    floor = cal.board_on_floor(PATTERN, 0.05, (0.0, 0.0), 0.3)
+    floor = calibration.board_on_floor(PATTERN, 0.05, (0.0, 0.0), 0.3)
     assert floor[8] == pytest.approx([0.4 * np.cos(0.3), 0.4 * np.sin(0.3)])
     pixels = seen(np.column_stack([floor, np.zeros(54)]), *planted_pose())
     along, across = pixels[8] - pixels[0], pixels[45] - pixels[0]
@@ -296,13 +296,13 @@ def test_board_on_the_floor_is_seen_in_the_order_in_which_it_is_found() -> None:
 @given(st.floats(-0.6, 0.6), st.floats(-0.3, 0.3), st.floats(-3, 3))
 def test_board_on_the_floor_gives_pose_and_homography(x: float, y: float, angle: float) -> None:
     turn, shift = planted_pose()
-    floor = cal.board_on_floor(PATTERN, 0.05, (x, y), angle)
+    floor = calibration.board_on_floor(PATTERN, 0.05, (x, y), angle)
     pixels = seen(np.column_stack([floor, np.zeros(len(floor))]), turn, shift)
-    found_turn, found_shift = cal.solve_floor_pose(lens(), pixels, floor)
+    found_turn, found_shift = calibration.solve_floor_pose(lens(), pixels, floor)
     assert np.abs(found_turn - turn).max() < 1e-5 and np.abs(found_shift - shift).max() < 1e-5
-    homography = cal.floor_homography_from_pose(lens(), found_turn, found_shift)
+    homography = calibration.floor_homography_from_pose(lens(), found_turn, found_shift)
     assert apply_homography(homography, lens().undistort_points(pixels)) == pytest.approx(floor, abs=1e-6)
-    errors = cal.reprojection_error(lens(), turn, shift, np.column_stack([floor, np.zeros(54)]), pixels)
+    errors = calibration.reprojection_error(lens(), turn, shift, np.column_stack([floor, np.zeros(54)]), pixels)
     assert errors.max() < 1e-9
 
 
@@ -310,13 +310,13 @@ def test_reprojection_error_is_the_distance_in_px() -> None:
     turn, shift = planted_pose()
     pixels, floor = planted_marks()
     points = np.column_stack([floor, np.zeros(len(floor))])
-    assert cal.reprojection_error(lens(), turn, shift, points, pixels + np.array([3, 4])) == pytest.approx(5.0)
+    assert calibration.reprojection_error(lens(), turn, shift, points, pixels + np.array([3, 4])) == pytest.approx(5.0)
 
 
 def test_mirrored_points_are_refused() -> None:
     pixels, floor = planted_marks()
     with pytest.raises(ValueError, match="under the floor; the points are mirrored"):
-        cal.solve_floor_pose(lens(), pixels, floor * [1, -1])
+        calibration.solve_floor_pose(lens(), pixels, floor * [1, -1])
 
 
 def test_marks_that_do_not_fix_the_floor() -> None:
@@ -331,19 +331,19 @@ def test_marks_that_do_not_fix_the_floor() -> None:
     ]
     for raw, metres, message in cases:
         with pytest.raises(ValueError, match=message):
-            cal.floor_homography_from_marks(lens(), raw, metres)
+            calibration.floor_homography_from_marks(lens(), raw, metres)
     with pytest.raises(ValueError, match="pixels, floor_m: expected 4 or more pairs, got 3 and 3"):
-        cal.solve_floor_pose(lens(), pixels[:3], floor[:3])
+        calibration.solve_floor_pose(lens(), pixels[:3], floor[:3])
     with pytest.raises(ValueError, match="pixels: expected 2 points like points_m, got 3"):
-        cal.reprojection_error(lens(), *planted_pose(), np.zeros((2, 3)), pixels[:3])
+        calibration.reprojection_error(lens(), *planted_pose(), np.zeros((2, 3)), pixels[:3])
 
 
 @needs_ufes
 def test_real_floor_marks_are_within_a_centimetre() -> None:
-    rig, marks = Rig.load(UFES / "rig.yaml"), cal.load_marks(UFES / "floor_marks.yaml")
+    rig, marks = Rig.load(UFES / "rig.yaml"), calibration.load_marks(UFES / "floor_marks.yaml")
     assert sorted(marks) == sorted(rig.cameras)
     for name, (pixels, floor) in marks.items():
-        fit = cal.floor_homography_from_marks(rig[name], pixels, floor)
+        fit = calibration.floor_homography_from_marks(rig[name], pixels, floor)
         assert fit.leave_one_out_m is not None and np.median(fit.leave_one_out_m) < 0.011
         ideal = rig[name].undistort_points(pixels)
         shipped = apply_homography(rig[name].image_to_floor, ideal)
@@ -351,14 +351,14 @@ def test_real_floor_marks_are_within_a_centimetre() -> None:
 
 
 # --- files -----------------------------------------------------------------------------------------
-def planted_calibration() -> cal.Calibration:
-    return cal.Calibration(SIZE, MATRIX, DISTORTION, 0.25, 13)
+def planted_calibration() -> calibration.Calibration:
+    return calibration.Calibration(SIZE, MATRIX, DISTORTION, 0.25, 13)
 
 
 def test_calibration_reads_back(tmp_path: Path) -> None:
-    path = cal.save_calibration(tmp_path / "camera.yaml", planted_calibration())
+    path = calibration.save_calibration(tmp_path / "camera.yaml", planted_calibration())
     assert list(yaml.safe_load(path.read_text())) == ["size", "matrix", "distortion", "rms_px", "views_used"]
-    found = cal.load_calibration(path)
+    found = calibration.load_calibration(path)
     assert (found.size, found.rms_px, found.views_used) == (SIZE, 0.25, 13)
     assert np.array_equal(found.matrix, MATRIX) and np.array_equal(found.distortion, DISTORTION)
     camera = found.camera("left", planted_homography())
@@ -380,21 +380,21 @@ def test_calibration_reads_back(tmp_path: Path) -> None:
     ],
 )
 def test_malformed_calibrations(tmp_path: Path, name: str, value: Any, message: str) -> None:
-    path = cal.save_calibration(tmp_path / "camera.yaml", planted_calibration())
+    path = calibration.save_calibration(tmp_path / "camera.yaml", planted_calibration())
     path.write_text(yaml.safe_dump({**yaml.safe_load(path.read_text()), name: value}))
     with pytest.raises(ValueError, match=f"camera.yaml: {re.escape(message)}"):
-        cal.load_calibration(path)
+        calibration.load_calibration(path)
 
 
 def test_other_files_are_one_line_errors(tmp_path: Path) -> None:
     path = tmp_path / "camera.yaml"
     with pytest.raises(ValueError, match=r"camera.yaml: cannot read"):
-        cal.load_calibration(path)
+        calibration.load_calibration(path)
     path.write_text("- 1")
     with pytest.raises(ValueError, match=r"camera.yaml: expected a mapping with 'size'"):
-        cal.load_calibration(path)
+        calibration.load_calibration(path)
     with pytest.raises(ValueError, match=r"camera.yaml: expected a mapping 'marks' of cameras"):
-        cal.load_marks(path)
+        calibration.load_marks(path)
     for content in (
         "marks: {left: [{pixel: [1, 2]}]}",
         "marks: {left: 5}",
@@ -402,4 +402,4 @@ def test_other_files_are_one_line_errors(tmp_path: Path) -> None:
     ):
         path.write_text(content)
         with pytest.raises(ValueError, match=r"camera.yaml: marks.left: expected a list of"):
-            cal.load_marks(path)
+            calibration.load_marks(path)

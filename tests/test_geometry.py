@@ -14,14 +14,8 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from occlib.geometry import (
-    Camera,
-    Floor,
-    Rig,
-    apply_homography,
-    as_points,
-    invert_homography,
-)
+from occlib.base.arrays import as_points
+from occlib.geometry import Camera, Floor, Rig, apply_homography, invert_homography
 
 Array = np.ndarray[Any, Any]
 SIZE = (640, 480)

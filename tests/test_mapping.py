@@ -17,7 +17,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from PIL import Image
 from scipy import ndimage
 
-from occlib import mapping, recordings
+from occlib.base import files
 from occlib.geometry import Floor, Rig
 from occlib.mapping import MODES, OccupancyMap, inflate, load_map, occupancy_map, save_map
 from occlib.pipeline import Pipeline, settings_for
@@ -184,12 +184,10 @@ def test_alpha_of_16_bit_pictures(tmp_path: Path) -> None:
     rgba = np.full((1, 3, 4), 0xFEFE, np.uint16)
     rgba[0, :, 3] = 0xFFFF, 0x80FF, 0
     assert cv2.imwrite(str(tmp_path / "map.png"), rgba)
-    assert recordings.read_image(tmp_path / "map.png", alpha=True)[0].tolist() == [
-        [254] * 3 + [a] for a in (255, 128, 0)
-    ]
-    assert recordings.read_image(tmp_path / "map.png").shape == (1, 3, 3)
-    recordings.write_image(tmp_path / "grey.png", np.zeros((1, 3), np.uint8))
-    assert recordings.read_image(tmp_path / "grey.png", alpha=True).shape == (1, 3, 3)
+    assert files.read_image(tmp_path / "map.png", alpha=True)[0].tolist() == [[254] * 3 + [a] for a in (255, 128, 0)]
+    assert files.read_image(tmp_path / "map.png").shape == (1, 3, 3)
+    files.write_image(tmp_path / "grey.png", np.zeros((1, 3), np.uint8))
+    assert files.read_image(tmp_path / "grey.png", alpha=True).shape == (1, 3, 3)
 
 
 @settings(max_examples=60, deadline=None)
@@ -217,7 +215,7 @@ def test_inflation_is_open_and_needs_a_radius() -> None:
 
 def test_the_first_row_of_the_picture_is_the_largest_y(tmp_path: Path) -> None:
     save_map(tmp_path / "map.yaml", asymmetric())
-    picture = recordings.read_image(tmp_path / "map.pgm")[..., 0]
+    picture = files.read_image(tmp_path / "map.pgm")[..., 0]
     assert picture.shape == (4, 6)
     assert picture[3, 0] == 0 and picture[0, 0] == 254 and picture[0, 5] == 205 and picture[2, 2] == 0
 
@@ -330,7 +328,7 @@ def test_a_failed_write_is_a_one_line_error_and_leaves_no_description(
     def full_disk(path: Path, content: bytes | str) -> Path:
         raise ValueError(f"{path}: cannot write (No space left on device)")
 
-    monkeypatch.setattr(mapping, "write_file", full_disk)
+    monkeypatch.setattr(files, "write_file", full_disk)
     with pytest.raises(ValueError, match=r"map.pgm: cannot write \(No space left"):  # the picture comes first
         save_map(tmp_path / "map", asymmetric())
     assert not (tmp_path / "map.yaml").exists()

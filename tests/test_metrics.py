@@ -14,7 +14,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from occlib import metrics
+from occlib import formats, metrics
 from occlib.geometry import Floor
 from occlib.metrics import (
     evaluate,
@@ -455,7 +455,7 @@ def test_objects_file_reads_back(tmp_path: Path) -> None:
     ]
     path = tmp_path / "objects.jsonl"
     path.write_text("\n".join(map(json.dumps, lines)) + "\n\n")
-    assert metrics.load_objects(path) == {3: lines[0]["objects"], 4: []}
+    assert formats.load_objects(path) == {3: lines[0]["objects"], 4: []}
 
 
 GOOD = b'{"frame": 1, "objects": []}\n'
@@ -496,7 +496,7 @@ def test_malformed_objects_name_the_line(tmp_path: Path, content: bytes, message
     path = tmp_path / "objects.jsonl"
     path.write_bytes(content)
     with pytest.raises(ValueError, match=f"objects.jsonl{message}"):
-        metrics.load_objects(path)
+        formats.load_objects(path)
 
 
 @pytest.mark.parametrize(
@@ -513,18 +513,18 @@ def test_malformed_truth_names_the_field(tmp_path: Path, content: str, message: 
     path = tmp_path / "truth.json"
     path.write_text(content)
     with pytest.raises(ValueError, match=f"truth.json: .*{message}"):
-        metrics.load_truth(path)
+        formats.load_truth(path)
 
 
 def test_missing_files_are_one_line_errors(tmp_path: Path) -> None:
-    for load in (metrics.load_objects, metrics.load_truth):
+    for load in (formats.load_objects, formats.load_truth):
         with pytest.raises(ValueError, match=r"none.json: cannot read .No such file"):
             load(tmp_path / "none.json")
 
 
 @pytest.mark.skipif(not UFES.is_dir(), reason=f"real recording not at {UFES}")
 def test_real_truth_scores_itself_perfectly() -> None:
-    truth = metrics.load_truth(UFES / "truth.json")
+    truth = formats.load_truth(UFES / "truth.json")
     detections = {int(frame): things for frame, things in truth["frames"].items()}
     for roi in (None, *truth["roi"]):
         score = evaluate(detections, truth, roi=roi)

@@ -12,8 +12,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
+from occlib.explaining.explainer import standing_places
 from occlib.geometry import Floor
-from occlib.occlusion import fuse, hidden_fractions, standing_places, truth_table
+from occlib.occlusion import fuse, hidden_fractions, truth_table
 
 Array = np.ndarray[Any, Any]
 LEFT = np.array([[True, True, False, False]])

@@ -14,23 +14,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from occlib import metrics
-from occlib.foreground import Background, otsu_threshold, smooth, subtract_background
+from occlib import formats, metrics
+from occlib.explaining.appearance import _box
+from occlib.finding import HIDDEN, _confirmed_first
+from occlib.foreground.background import Background
+from occlib.foreground.difference import smooth, subtract_background
+from occlib.foreground.threshold import otsu_threshold
 from occlib.geometry import Camera, Floor, Rig
 from occlib.localization import find_regions
 from occlib.mapping import BLIND, DISAGREE, ONE_VIEW, UNCONFIRMED, load_map, save_map
 from occlib.occlusion import fuse
-from occlib.pipeline import (
-    HIDDEN,
-    PROFILES,
-    FrameResult,
-    Pipeline,
-    Settings,
-    _box,
-    _confirmed_first,
-    backgrounds_of,
-    settings_for,
-)
+from occlib.pipeline import PROFILES, FrameResult, Pipeline, Settings, backgrounds_of, settings_for
 from occlib.recordings import LAB, open_recording
 from occlib.registration import FloorWarp
 from occlib.tracking import ObjectVector
@@ -78,7 +72,7 @@ def test_the_tiny_recording_from_folder_to_objects(
     tiny_recording: Path, settings: Settings, covered_at_least: float
 ) -> None:
     recording = open_recording(tiny_recording)
-    truth = metrics.load_truth(tiny_recording / "truth.json")
+    truth = formats.load_truth(tiny_recording / "truth.json")
     pipeline = Pipeline(recording.rig, backgrounds_of(recording), settings)
     detections, moving = {}, []
     for frame, images in recording.images():
@@ -404,7 +398,7 @@ def run(
 ) -> tuple[dict[int, FrameResult], dict[str, Any], Floor]:
     """Results by frame, the truth of these frames, and the floor."""
     recording = open_recording(name, cameras)
-    truth = metrics.load_truth(recording.path / "truth.json")
+    truth = formats.load_truth(recording.path / "truth.json")
     pipeline = Pipeline(recording.rig, backgrounds_of(recording), settings)
     frames = recording.frames[::every]
     results = {frame: pipeline.process(images, recording.time(frame)) for frame, images in recording.images(frames)}
@@ -560,7 +554,7 @@ UFES = {
 def test_ufes_lab_two_people_in_a_real_room(shared_data: Callable[[str], Path], cameras: tuple[str, ...]) -> None:
     """About a minute each: the background is learned from frames that are never empty."""
     recording = open_recording(shared_data("ufes-lab"), cameras)
-    truth = metrics.load_truth(recording.path / "truth.json")
+    truth = formats.load_truth(recording.path / "truth.json")
     backgrounds, frames = backgrounds_of(recording), range(20, 149)
     pipelines = {
         name: Pipeline(recording.rig, backgrounds, settings_for(name)) for name in ("paper", "and", "recommended")
@@ -673,7 +667,7 @@ def test_a_frozen_picture_does_not_hold_an_object_where_it_was(tiny_rig: Rig, dr
 def test_four_cameras_go_on_with_three(reason: str) -> None:
     """The damaged camera neither deletes nor adds an object, and little of the map is lost."""
     recording = open_recording(lab("four_robots"), ["left", "right", "front", "back"])
-    truth = metrics.load_truth(recording.path / "truth.json")["frames"]
+    truth = formats.load_truth(recording.path / "truth.json")["frames"]
     pipeline = Pipeline(recording.rig, backgrounds_of(recording))
     cloth = np.full((480, 640, 3), (150, 130, 60), np.uint8)
     first: Any = None
@@ -712,7 +706,7 @@ def test_templates_name_the_robots_and_bring_their_ids_back() -> None:
     """Templates cut from the first frame; then the floor is empty for two seconds, and the robots stand elsewhere."""
     recording = open_recording("four_robots", ["left", "right"])
     backgrounds = backgrounds_of(recording)
-    truth = metrics.load_truth(recording.path / "truth.json")["frames"]
+    truth = formats.load_truth(recording.path / "truth.json")["frames"]
     first = Pipeline(recording.rig, backgrounds)
     (_, images), *later = recording.images([0, *range(60, 64)])
     templates = {}

@@ -14,7 +14,8 @@ from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
-from occlib.explaining import Cylinder
+from occlib.explaining.cylinders import Cylinder
+from occlib.explaining.evidence import PolarWarp
 from occlib.geometry import Floor, Rig
 from occlib.mapping import REASONS, OccupancyMap
 from occlib.pipeline import FrameResult, Pipeline
@@ -23,13 +24,8 @@ from occlib.plotting import (
     REASON_COLOURS,
     TRUTH_COLOUR,
     camera_colours,
-    cover_heads,
     figure_png,
-    fill_hull,
-    frame_strip,
-    lamps_and_shadows,
     new_figure,
-    outline_cylinders,
     outline_on_image,
     overview,
     show_floor,
@@ -37,9 +33,15 @@ from occlib.plotting import (
     show_image,
     show_map,
     show_views_on_floor,
+)
+from occlib.reproduce.figures import (
+    cover_heads,
+    fill_hull,
+    frame_strip,
+    lamps_and_shadows,
+    outline_cylinders,
     views_and_map,
 )
-from occlib.registration import PolarWarp
 from occlib.tracking import ObjectVector
 
 Array = np.ndarray[Any, Any]

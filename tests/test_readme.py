@@ -12,7 +12,8 @@ import yaml
 
 from occlib.calibration import Calibration, save_calibration
 from occlib.geometry import Rig
-from occlib.matching import METHODS, find
+from occlib.matching.measures import METHODS
+from occlib.matching.search import find
 
 README = (Path(__file__).resolve().parent.parent / "README.md").read_text(encoding="utf-8")
 PYTHON = re.findall(r"```python\n(.*?)```", README, re.DOTALL)

@@ -24,20 +24,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from occlib import recordings
+from occlib.base import files as files_module
+from occlib.base.files import encode_image, read_image, read_yaml, staged_folder, write_file, write_image
+from occlib.explaining.appearance import read_templates
 from occlib.geometry import Rig
-from occlib.recordings import (
-    check_size,
-    encode_image,
-    fetch,
-    open_recording,
-    parse_frames,
-    read_image,
-    read_templates,
-    read_yaml,
-    staged_folder,
-    write_file,
-    write_image,
-)
+from occlib.recordings import check_size, fetch, open_recording, parse_frames
 
 Array = np.ndarray[Any, Any]
 SIZE = (160, 120)
@@ -673,21 +664,21 @@ def test_a_png_that_is_cut_or_damaged_anywhere_is_refused_in_silence(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     picture = np.random.default_rng(0).integers(0, 256, (20, 30, 3), np.uint8)
-    whole = recordings.encode_image(".png", picture)
+    whole = files_module.encode_image(".png", picture)
     path = tmp_path / "0000.png"
     for bad in [whole[:at] for at in range(0, len(whole), 97)] + [whole[:60] + b"?" + whole[61:]]:
         path.write_bytes(bad)
         with pytest.raises(ValueError, match=r"0000\.png: corrupt or not an image"):
-            recordings.read_image(path)
+            files_module.read_image(path)
     path.write_bytes(whole)
-    np.testing.assert_array_equal(recordings.read_image(path), picture)
+    np.testing.assert_array_equal(files_module.read_image(path), picture)
     assert capfd.readouterr().err == ""
 
 
 def test_a_folder_in_the_way_stops_everything_before_anything_moves(tmp_path: Path) -> None:
     (tmp_path / "out" / "b.txt" / "x").mkdir(parents=True)
     with pytest.raises(ValueError, match=r"b\.txt: cannot write \(is a directory\)"):
-        with recordings.staged_folder(tmp_path / "out") as stage:
+        with files_module.staged_folder(tmp_path / "out") as stage:
             for name in ("a.txt", "b.txt"):
                 (stage / name).write_text("new")
     assert sorted(p.name for p in (tmp_path / "out").iterdir()) == ["b.txt"]

@@ -11,10 +11,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.ndimage import map_coordinates
 
+from occlib.explaining.evidence import PolarWarp
 from occlib.geometry import Camera, Floor, Rig, apply_homography
 from occlib.registration import (
     FloorWarp,
-    PolarWarp,
     registration_error_m,
     rotation_about_centre,
     rotation_onto,

@@ -1,0 +1,36 @@
+"""DOC"""
+
+from __future__ import annotations
+
+import signal
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+
+@contextmanager
+def stoppable() -> Iterator[None]:
+    """Let SIGTERM and SIGHUP (``timeout``, a closing terminal) end the work as Ctrl-C does."""
+    with _handling(signal.default_int_handler):
+        yield
+
+
+@contextmanager
+def uninterrupted() -> Iterator[None]:
+    """Let nothing but ``kill -9`` stop what must not be left half-done."""
+    with _handling(signal.SIG_IGN, "SIGINT"):
+        yield
+
+
+@contextmanager
+def _handling(handler: Any, *more: str) -> Iterator[None]:
+    names = {"SIGTERM", "SIGHUP", *more} & set(dir(signal))  # Windows has no SIGHUP
+    if threading.current_thread() is not threading.main_thread():
+        names = set()
+    previous = {name: signal.signal(getattr(signal, name), handler) for name in names}
+    try:
+        yield
+    finally:
+        for name, before in previous.items():
+            signal.signal(getattr(signal, name), before)

@@ -1,0 +1,422 @@
+"""Photo-real pictures of the laboratory's scenes, with Mitsuba 3 (extra ``render``), and the manifest that vouches for them.
+
+Only needed to make ``data/lab`` again or to render a scene of one's own; truth and silhouettes come without it.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import json
+import os
+import sys
+from collections.abc import Iterable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+import yaml
+
+from occlib.base.arrays import FloatArray, Image, Mask
+from occlib.base.files import encode_image, staged_folder, write_file
+from occlib.geometry import Camera, Rig, pixel_rays
+from occlib.lab.scenes import BOARD_PATTERN, Board, Scene, floor_board
+from occlib.lab.shapes import Part, hit_distance, unit_mesh
+from occlib.lab.truth import depth_image, ground_truth
+
+INSTALL_HINT = "rendering needs Mitsuba 3 with LLVM and OIDN: pip install occlib[render]"
+
+
+def load_mitsuba() -> Any:
+    """Import Mitsuba in its vectorised variant; ``ValueError`` with the remedy if that cannot work."""
+    try:
+        # karellen-llvm-core needs its C++ runtime in the process before LLVM itself is opened.
+        llvm = Path(os.environ.get("DRJIT_LIBLLVM_PATH", Path(sys.prefix) / "lib" / "libLLVM.so"))
+        if llvm.exists():
+            os.environ["DRJIT_LIBLLVM_PATH"] = str(llvm)
+            for library in ("libunwind.so.1", "libc++abi.so.1", "libc++.so.1"):
+                if (found := llvm.parent / "x86_64-unknown-linux-gnu" / library).exists():
+                    # Not RTLD_GLOBAL: libc++abi would take over the C++ exceptions of every other library.
+                    ctypes.CDLL(str(found), mode=ctypes.RTLD_LOCAL)
+        import drjit
+        import mitsuba
+        import pyoidn  # noqa: F401
+
+        mitsuba.set_variant("llvm_ad_rgb")
+        version = int(drjit.detail.llvm_version()[0])
+        if not 19 <= version <= 22:  # older and newer ones abort the whole process on a real scene
+            raise ImportError(f"LLVM {version} cannot compile Mitsuba's kernels, 19 to 22 can: karellen-llvm-core<23")
+    except (ImportError, OSError) as error:
+        raise ValueError(f"{INSTALL_HINT} ({error})") from None
+    return mitsuba
+
+
+def to_linear(colour: Iterable[float]) -> list[float]:
+    """sRGB 0-255 to linear 0-1.
+
+    >>> to_linear([0, 255])
+    [0.0, 1.0]
+    """
+    c = np.asarray(list(colour), float) / 255
+    return [float(v) for v in np.where(c <= 0.04045, c / 12.92, ((c + 0.055) / 1.055) ** 2.4)]
+
+
+def to_srgb(linear: FloatArray) -> FloatArray:
+    """Linear 0-1 to sRGB grey levels 0-255, clipped."""
+    c = np.clip(linear, 0, 1)
+    return np.asarray(255 * np.where(c <= 0.0031308, 12.92 * c, 1.055 * c ** (1 / 2.4) - 0.055))
+
+
+def vinyl_texture(colour: Iterable[float], cells: int = 700) -> FloatArray:
+    """A tile of floor, linear RGB (cells, cells, 3): faint mottling, a seam around the edge."""
+    rng = np.random.default_rng(2009)
+    mottle = np.zeros((cells, cells))
+    for n, sigma in ((7, 0.008), (40, 0.012), (175, 0.02)):
+        mottle += cv2.resize(rng.normal(0, sigma, (n, n)), (cells, cells), interpolation=cv2.INTER_CUBIC)
+    tile = np.array(to_linear(colour)) * (1 + mottle[..., None])
+    tile[[0, 1, -2, -1]] *= 0.72
+    tile[:, [0, 1, -2, -1]] *= 0.72
+    return np.asarray(tile)
+
+
+def denoise(layers: npt.NDArray[np.float32]) -> FloatArray:
+    """Linear RGB (H, W, 3) from noisy colour, albedo and normal (H, W, 9), by Open Image Denoise."""
+    import pyoidn
+
+    colour, albedo, normal = (np.ascontiguousarray(layers[..., k : k + 3]) for k in (0, 3, 6))
+    return np.asarray(pyoidn.denoise(colour, albedo=albedo, normal=normal, hdr=True), dtype=np.float64)
+
+
+class Studio:
+    """The scene as Mitsuba sees it; objects move without rebuilding it."""
+
+    def __init__(self, scene: Scene, *, spp: int) -> None:
+        self.mi, self.scene, self.spp, self.cameras = load_mitsuba(), scene, spp, scene.rig.cameras
+        self.integrator = self.mi.load_dict({"type": "path", "max_depth": 5, "rr_depth": 100})
+        self.world = self.mi.load_dict(self._description(), optimize=False)
+        self.parameters = self.mi.traverse(self.world)
+        self._rays: dict[str, Any] = {}
+        self._empty: dict[str, Any] = {}
+        self._floor: dict[str, Any] = {}
+
+    def _description(self) -> dict[str, Any]:
+        mi, room = self.mi, self.scene.room
+        (x0, x1), (y0, y1), height = room["walls"]["x"], room["walls"]["y"], room["walls"]["height"]
+        light, vinyl, to = room["ceiling_light"], room["vinyl"], mi.ScalarTransform4f
+        middle, half = [(x0 + x1) / 2, (y0 + y1) / 2], [(x1 - x0) / 2, (y1 - y0) / 2]
+        tiles = to().scale([2 * half[0] / vinyl["tile"], 2 * half[1] / vinyl["tile"], 1])
+        texture = {
+            "type": "bitmap",
+            "bitmap": mi.Bitmap(vinyl_texture(vinyl["colour"]).astype(np.float32)),
+            "raw": True,
+            "to_uv": tiles,
+        }
+        wall = self._matte(room["walls"]["colour"])
+        walls = Part("box", (*middle, height / 2), (2 * half[0], 2 * half[1], height), (0, 0, 0))
+        world: dict[str, Any] = {
+            "type": "scene",
+            "floor": {
+                "type": "rectangle",
+                "to_world": to().translate([*middle, 0]).scale([*half, 1]),
+                "bsdf": {
+                    "type": "roughplastic",
+                    "distribution": "ggx",
+                    "alpha": vinyl["roughness"],
+                    "int_ior": vinyl["ior"],
+                    "diffuse_reflectance": texture,
+                },
+            },
+            "light": {
+                "type": "rectangle",
+                "to_world": to()
+                .translate([*middle, height - 0.02])
+                .rotate([1, 0, 0], 180)
+                .scale([light["size"][0] / 2, light["size"][1] / 2, 1]),
+                "emitter": {
+                    "type": "area",
+                    "radiance": {"type": "rgb", "value": [light["radiance"] * c for c in (1.0, 0.985, 0.955)]},
+                },
+            },
+            # The floor rectangle lies a hair above the bottom of the box that makes the walls.
+            "walls": self._mesh("walls", "box", shift(walls.matrix, -0.001), wall),
+        }
+        for i, part in enumerate(self.scene.furniture):
+            world[f"furniture{i}"] = self._mesh(f"f{i}", part.shape, part.matrix, self._matte(part.colour))
+        for i, (x, y) in enumerate(self.scene.marks):  # crosses of tape
+            for k, size in enumerate([(0.16, 0.02, 0.001), (0.02, 0.16, 0.0012)]):
+                tape = Part("box", (x, y, 0.0), size, (20, 40, 120))
+                world[f"mark{i}{k}"] = self._mesh(f"m{i}{k}", "box", tape.matrix, self._matte(tape.colour))
+        for thing in self.scene.objects:
+            for i, (part, matrix) in enumerate(zip(thing.parts, thing.matrices(0), strict=True)):
+                key = f"{thing.id}{i}"
+                world[key] = self._mesh(key, part.shape, matrix, self._matte(part.colour))
+        if self.scene.boards or self.scene.floor_board:
+            world["board"] = self._board()
+        return world
+
+    def _matte(self, colour: Iterable[float]) -> Any:
+        diffuse = {"type": "diffuse", "reflectance": {"type": "rgb", "value": to_linear(colour)}}
+        return self.mi.load_dict({"type": "twosided", "bsdf": diffuse})
+
+    def _mesh(self, name: str, shape: str, matrix: FloatArray, bsdf: Any) -> Any:
+        vertices, faces = unit_mesh(shape)
+        properties = self.mi.Properties()
+        properties["mesh_bsdf"] = bsdf
+        properties["face_normals"] = True
+        mesh = self.mi.Mesh(name, len(vertices), len(faces), props=properties)
+        parameters = self.mi.traverse(mesh)
+        parameters["vertex_positions"] = _world_vertices(vertices, matrix)
+        parameters["faces"] = faces.astype(np.uint32).ravel()
+        parameters.update()
+        return mesh
+
+    def _board(self) -> Any:
+        columns, rows = BOARD_PATTERN[0] + 3, BOARD_PATTERN[1] + 3  # the squares, and a white margin of one
+        i, j = np.meshgrid(np.arange(columns), np.arange(rows))
+        inner = (i > 0) & (i < columns - 1) & (j > 0) & (j < rows - 1)
+        paper = np.where(inner & ((i + j) % 2 == 0), 0.03, 0.8).astype(np.float32)  # (1, 1) is black
+        texture = {
+            "type": "bitmap",
+            "bitmap": self.mi.Bitmap(np.repeat(paper[::-1, :, None], 3, axis=2)),
+            "raw": True,
+            "filter_type": "nearest",
+        }
+        matte = {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": texture}}
+        properties = self.mi.Properties()
+        properties["mesh_bsdf"] = self.mi.load_dict(matte)
+        # A mesh and not Mitsuba's rectangle, whose pose is compiled into the code, again for each picture.
+        mesh = self.mi.Mesh("board", 4, 2, has_vertex_texcoords=True, props=properties)
+        parameters = self.mi.traverse(mesh)
+        parameters["vertex_positions"] = self._board_vertices(None)
+        parameters["vertex_texcoords"] = np.array([0, 0, 1, 0, 1, 1, 0, 1], np.float32)
+        parameters["faces"] = np.array([0, 1, 2, 0, 2, 3], np.uint32)
+        parameters.update()
+        return mesh
+
+    def _board_vertices(self, board: Board | None) -> Any:
+        """The corners of the paper in the world; under the floor for ``None``."""
+        pose = np.eye(4) if board is None else board.pose
+        half = np.array([BOARD_PATTERN[0] + 3, BOARD_PATTERN[1] + 3]) * (board.square if board else 0.1) / 2
+        corners = np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) * [*half, 0]
+        up = -50.0 if board is None else 0.0002 if board.camera is None else 0.0  # paper lies on the floor
+        return _world_vertices(corners, shift(pose, up))
+
+    def place(self, frame: int | None, board: Board | None = None) -> None:
+        """Move the objects to where they are at a frame; ``None`` empties the room."""
+        for thing in self.scene.objects:
+            for i, (part, matrix) in enumerate(zip(thing.parts, thing.matrices(frame or 0), strict=True)):
+                # An empty room keeps its meshes, under the floor, so that the compiled kernel is reused.
+                matrix = shift(matrix, -50.0) if frame is None else matrix
+                key = f"{thing.id}{i}.vertex_positions"
+                self.parameters[key] = _world_vertices(unit_mesh(part.shape)[0], matrix)
+        if "board.vertex_positions" in self.parameters:
+            self.parameters["board.vertex_positions"] = self._board_vertices(board)
+        self.parameters.update()
+
+    def _directions(self, name: str) -> FloatArray:
+        """Jittered rays (H * W, spp, 3) through the exact lens model, shared by all frames of a camera."""
+        if name not in self._rays:
+            # R2 low-discrepancy offsets: the same sub-pixel pattern in each pixel is a box filter.
+            steps = np.outer(np.arange(1, self.spp + 1), [0.7548776662466927, 0.5698402909980532])
+            offsets = steps % 1
+            offsets -= offsets.mean(axis=0)  # or the whole picture shifts by a fraction of a pixel
+            rays = np.stack([pixel_rays(self.cameras[name], tuple(o)) for o in offsets], axis=2)
+            rays /= np.linalg.norm(rays, axis=3, keepdims=True)
+            self._rays[name] = rays.reshape(-1, self.spp, 3).astype(np.float32)
+        return self._rays[name]
+
+    def layers(self, name: str, pixels: Mask | None = None) -> npt.NDArray[np.float32]:
+        """Noisy colour, albedo and normal, (N, 9), of all or of some pixels (H, W) of a camera."""
+        import drjit as dr
+
+        mi, directions = self.mi, self._directions(name)
+        directions = directions if pixels is None else directions[pixels.ravel()]
+        flat = np.ascontiguousarray(directions.reshape(-1, 3).T)
+        sampler = mi.load_dict({"type": "independent"})
+        sampler.seed(list(self.cameras).index(name), flat.shape[1])
+        centre = mi.Point3f(*map(float, self.cameras[name].centre_m))
+        dr.make_opaque(centre)  # a number in memory, not in the code: one compilation serves all cameras
+        ray = mi.Ray3f(centre, mi.Vector3f(flat))
+        colour, _, _ = self.integrator.sample(self.world, sampler, ray)
+        hit = self.world.ray_intersect(ray)
+        albedo = hit.bsdf().eval_diffuse_reflectance(hit)
+        bounded = dr.select(colour < 4.0, colour, 4.0)  # tames fireflies
+        sums = [dr.block_sum(c, self.spp) for layer in (bounded, albedo, hit.sh_frame.n) for c in layer]
+        dr.eval(sums)
+        return np.stack([np.array(s, np.float32) for s in sums], axis=1) / np.float32(self.spp)
+
+    def radiance(self, name: str, frame: int | None, board: Board | None = None) -> FloatArray:
+        """Denoised linear RGB (H, W, 3) of what a camera sees at a frame, ``None`` for the empty room.
+
+        Only what an object can change visibly (itself, its shadow, its reflection) is traced anew.
+        """
+        width, height = self.cameras[name].size
+        if name not in self._empty:
+            self.place(None)
+            layers = self.layers(name).reshape(height, width, 9)
+            self._empty[name] = layers, denoise(layers)
+        layers, picture = (a.copy() for a in self._empty[name])
+        if board is not None or (frame is not None and self.scene.objects):
+            self.place(frame, board)
+            pixels = self._touched(name, frame or 0, board)
+            layers[pixels] = self.layers(name, pixels)
+            rows, columns = np.flatnonzero(pixels.any(axis=1)), np.flatnonzero(pixels.any(axis=0))
+            if len(rows):  # denoise a window around what was traced
+                window = tuple(slice(max(0, k[0] - 16), k[-1] + 17) for k in (rows, columns))
+                # Fade into the empty room, so that the rim of a soft shadow shows no step.
+                inside = cv2.distanceTransform(pixels[window].astype(np.uint8), cv2.DIST_L2, 3)
+                weight = np.clip(inside / 12, 0, 1)[..., None]
+                picture[window] += weight * (denoise(layers[window]) - picture[window])
+        return picture
+
+    def _touched(self, name: str, frame: int, board: Board | None = None) -> Mask:
+        """Pixels (H, W) that show an object or the floor near it (0.7 heights + 0.2 m), or a board."""
+        camera = self.cameras[name]
+        width, height = camera.size
+        rays = self.scene.rays[name]
+        if name not in self._floor:
+            with np.errstate(divide="ignore"):
+                floor = camera.centre_m[:2] - rays[..., :2] * (camera.centre_m[2] / rays[..., 2])[..., None]
+            self._floor[name] = floor
+        centre, floor = camera.centre_m, self._floor[name]
+        pixels = np.zeros((height, width), bool)
+        for thing in self.scene.objects:
+            x, y, _ = thing.pose(frame)
+            radius = np.hypot(*(thing.footprint(frame) - [x, y]).T).max() + 0.7 * thing.height + 0.2
+            pixels |= (rays[..., 2] < 0) & (np.hypot(floor[..., 0] - x, floor[..., 1] - y) < radius)
+            depth, window = depth_image(self.scene, camera, thing, frame)
+            pixels[window] |= np.isfinite(depth)
+        spare = 25
+        if board is not None:
+            # A little more than the board: its soft shadow falls behind it, where the camera sees little of it.
+            half = np.array([BOARD_PATTERN[0] + 3, BOARD_PATTERN[1] + 3, 0.02]) * board.square
+            paper = board.pose @ np.diag([half[0], half[1], half[2], 1.0])
+            hit = np.isfinite(hit_distance("box", paper, centre, rays.reshape(-1, 3)))
+            pixels, spare = hit.reshape(height, width), 61
+        return cv2.dilate(pixels.astype(np.uint8), np.ones((spare, spare), np.uint8)) > 0
+
+    def photograph(self, radiance: FloatArray, name: str, kind: str, index: int) -> Image:
+        """Exposure, vignetting, the sRGB curve and sensor noise: uint8 RGB (H, W, 3)."""
+        sensor, camera = self.scene.room["sensor"], self.cameras[name]
+        width, height = camera.size
+        v, u = np.mgrid[:height, :width]
+        cx, cy = (width - 1) / 2, (height - 1) / 2
+        fall = 1 - sensor["vignetting"] * ((u - cx) ** 2 + (v - cy) ** 2) / (cx**2 + cy**2)
+        gain = self.scene.room["cameras"][name]["gain"]["background" if kind == "background" else "frames"]
+        clean = to_srgb(radiance * fall[..., None] * sensor["exposure"] * gain)
+        names = list(self.scene.room["cameras"])
+        rng = np.random.default_rng([self.scene.seed, names.index(name), index, kind == "background"])
+        sigma = np.sqrt(sensor["read_noise"] ** 2 + sensor["shot_noise"] ** 2 * clean)
+        return np.clip(np.rint(clean + sigma * rng.standard_normal(clean.shape)), 0, 255).astype(np.uint8)
+
+
+def shift(matrix: FloatArray, up: float) -> FloatArray:
+    """The map followed by a step along z, in m."""
+    return np.vstack([matrix[:2], matrix[2] + [0, 0, 0, up], matrix[3]])
+
+
+def _world_vertices(vertices: FloatArray, matrix: FloatArray) -> Any:
+    return (vertices @ matrix[:3, :3].T + matrix[:3, 3]).astype(np.float32).ravel()
+
+
+def scaled_camera(camera: Camera, scale: float) -> Camera:
+    """The same view with fewer (or more) pixels."""
+    if scale == 1:
+        return camera
+    if not 0.02 <= scale <= 4:
+        raise ValueError(f"scale: expected a factor between 0.02 and 4, got {scale}")
+    size = (max(8, round(camera.size[0] * scale)), max(8, round(camera.size[1] * scale)))
+    matrix = camera.matrix.copy()
+    for axis in (0, 1):
+        matrix[axis] *= size[axis] / camera.size[axis]
+        matrix[axis, 2] += (size[axis] / camera.size[axis] - 1) / 2  # pixel centres are at integers
+    rotation, translation = camera.pose
+    return Camera.from_pose(camera.name, size, matrix, camera.distortion, rotation, translation)
+
+
+def render(
+    scene: Scene,
+    out: str | Path,
+    *,
+    frames: Iterable[int] | None = None,
+    spp: int = 6,
+    scale: float = 1.0,
+    progress: bool = True,
+) -> Path:
+    """Render a recording in the contract's layout, with its truth; returns its folder.
+
+    Parameters
+    ----------
+    out
+        Folder to write; pictures in it are replaced.
+    frames
+        Which frames; all for ``None``.
+    spp
+        Samples per pixel, before denoising.
+    scale
+        Factor on the size of the pictures; ``rig.yaml`` and the truth follow it.
+    progress
+        Show a progress bar.
+
+    Raises ``ValueError`` if Mitsuba is missing or a frame is out of range.
+    """
+    from tqdm import tqdm
+
+    chosen = list(range(scene.frames)) if frames is None else list(frames)
+    if wrong := [f for f in chosen if not 0 <= f < scene.frames]:
+        raise ValueError(f"frames: expected 0 to {scene.frames - 1}, got {wrong[0]}")
+    if spp < 1:
+        raise ValueError(f"spp: expected 1 or more samples per pixel, got {spp}")
+    cameras = {n: scaled_camera(c, scale) for n, c in scene.rig.cameras.items()}
+    scene = replace(scene, rig=Rig(scene.rig.floor, cameras))
+    total = len(cameras) * (len(chosen) + (scene.background > 0) + (scene.floor_board is not None))
+    bar = tqdm(total=total, desc=scene.name, disable=None if progress else True)
+    with bar, staged_folder(out) as stage:
+        _write_recording(scene, Studio(scene, spp=spp), chosen, stage, bar)
+    return Path(out)
+
+
+def _write_recording(scene: Scene, studio: Studio, chosen: list[int], out: Path, bar: Any) -> None:
+    quality, cameras = int(scene.room["sensor"]["jpeg_quality"]), scene.rig.cameras
+    for name in cameras:  # camera by camera: its rays and its empty room are used again
+        for i in range(scene.background):
+            picture = studio.photograph(studio.radiance(name, None), name, "background", i)
+            write_file(out / "background" / name / f"{i:02d}.png", encode_image(".png", picture, quality=quality))
+        bar.update(scene.background > 0)
+        boards = [i for i, board in enumerate(scene.boards) if board.camera == name]
+        for frame in chosen:  # frame N shows the camera its own Nth board, if there are any
+            index = boards[frame] if boards else frame
+            light = studio.radiance(name, None, scene.boards[index]) if boards else studio.radiance(name, frame)
+            picture = studio.photograph(light, name, "frames", index)
+            write_file(out / "frames" / name / f"{frame:04d}.jpg", encode_image(".jpg", picture, quality=quality))
+            bar.update()
+    if (lying := floor_board(scene)) is not None:
+        for k, name in enumerate(cameras):
+            picture = studio.photograph(studio.radiance(name, None, lying), name, "frames", len(scene.boards) + k)
+            write_file(out / "floor" / f"{name}.jpg", encode_image(".jpg", picture, quality=quality))
+            bar.update()
+        write_file(out / "floor_marks.yaml", _yaml(floor_marks(scene)))
+    write_file(out / "rig.yaml", _yaml({"fps": scene.fps, **scene.rig.to_dict()}))
+    truth = ground_truth(scene, frames=chosen)
+    lines = [f"{json.dumps(k)}: {json.dumps(v)}" for k, v in truth.pop("frames").items()]
+    head = json.dumps(truth)[:-1]  # one frame a line: short, and still readable
+    write_file(out / "truth.json", (head + ', "frames": {\n' + ",\n".join(lines) + "\n}}\n").encode())
+
+
+def _yaml(content: Any) -> bytes:
+    return str(yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=110)).encode()
+
+
+def floor_marks(scene: Scene) -> dict[str, Any]:
+    """Where the board and the marks on the floor are: metres, and the pixels of each camera, to 0.1 px."""
+    marks: dict[str, Any] = {name: [] for name in scene.rig.cameras}
+    for name, camera in scene.rig.cameras.items():
+        for mark, pixel in zip(scene.marks, camera.floor_to_pixels(scene.marks), strict=True):
+            if camera.inside([pixel])[0]:
+                marks[name].append({"pixel": np.round(pixel, 1).tolist(), "floor": list(mark)})
+    content: dict[str, Any] = {"units": {"pixel": "raw image px", "floor": "m"}}
+    if scene.floor_board is not None:
+        content["board"] = {"pattern": list(BOARD_PATTERN), **scene.floor_board}
+    return {**content, "marks": marks}

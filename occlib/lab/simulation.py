@@ -1,0 +1,249 @@
+"""Crowds of upright objects under one to eight wall cameras, with perfect silhouettes: what a fusion rule can do at best.
+
+No picture, no noise, no shadow of a lamp: rays are cast against exact shapes (:mod:`occlib.lab`), so whatever
+goes wrong on the floor is the geometry's or the rule's doing. Views may be made to *miss* objects on purpose.
+
+Ghosts are predicted, too. A camera at height ``H`` sees an object of height ``h`` as a shadow on the floor that
+starts at its base and points away from the camera. Where the shadow of one object from one camera crosses the shadow of
+another object from another camera, away from both bases, AND claims something and nothing stands.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from occlib.base.arrays import FloatArray, Mask, as_points
+from occlib.explaining.explainer import MaskExplainer
+from occlib.explaining.search import DEFAULT, Explanation
+from occlib.geometry import Rig
+from occlib.lab.crowds import places_m, truth_of
+from occlib.lab.ghosts import LEAST_AREA_M2, crossings, expected_crossings, ghost_regions
+from occlib.lab.scenes import Scene, SceneObject
+from occlib.lab.truth import depth_image
+from occlib.localization import find_regions
+from occlib.metrics import claimed_area_ratio, evaluate, footprint_coverage
+from occlib.occlusion import RULES, fuse
+from occlib.registration import FloorWarp
+
+PLANES_M = (0.0, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3)
+"""Planes of the rule ``"planes"``: what reaches through half of them, so something at least 0.15 m high, is kept."""
+
+
+EXPLAIN = ("explain", "explain, one spare")
+"""Rules that are no vote on cells: :class:`MaskExplainer`, the second with one view that may miss an object."""
+
+
+@dataclass(frozen=True)
+class Simulation:
+    """Perfect silhouettes of crowds as a rig's cameras see them, and what a rule makes of them.
+
+    Parameters
+    ----------
+    rig
+        One or more cameras.
+    trust
+        What a view's "yes" and "no" are worth as probabilities, for the rules that weigh evidence. A "yes" may be
+        another object's shadow, so it is worth less than a "no".
+    how
+        For the rules ``"explain"`` and ``"explain, one spare"``: the latter looks also where one view sees nothing.
+
+    Examples
+    --------
+    >>> simulation = Simulation(wall_rig(2))
+    >>> crowd = random_crowd(2, np.random.default_rng(1))
+    >>> found = simulation.places(simulation.masks(crowd), "and")
+    >>> bool(np.linalg.norm(found[:, None] - places_m(crowd), axis=2).min(axis=0).max() < 0.1)
+    True
+    """
+
+    rig: Rig
+    trust: tuple[float, float] = (0.8, 0.1)
+    how: Explanation = DEFAULT
+
+    @cached_property
+    def _scene(self) -> Scene:
+        """Holds the pixels' rays; the objects come later."""
+        return Scene("crowd", Path(), {}, self.rig, frames=1, background=0, seed=0, fps=10.0, objects=())
+
+    @cached_property
+    def _warps(self) -> dict[str, FloorWarp]:
+        return {name: FloorWarp(camera, self.rig.floor) for name, camera in self.rig.cameras.items()}
+
+    @cached_property
+    def _planes(self) -> dict[str, list[FloorWarp]]:
+        return {n: [FloorWarp(c, self.rig.floor, z) for z in PLANES_M] for n, c in self.rig.cameras.items()}
+
+    @cached_property
+    def _explainers(self) -> dict[str, MaskExplainer]:
+        return {name: MaskExplainer(self.rig, self.how, spare=spare) for spare, name in enumerate(EXPLAIN)}
+
+    def silhouettes(self, crowd: Sequence[SceneObject]) -> dict[str, Mask]:
+        """Each object's silhouette as if it were alone, ``{camera: bool (n, H, W)}``."""
+        seen = {}
+        for name, camera in self.rig.cameras.items():
+            seen[name] = np.zeros((len(crowd), *camera.size[::-1]), bool)
+            for mask, thing in zip(seen[name], crowd, strict=True):
+                depth, window = depth_image(self._scene, camera, thing, 0)
+                mask[window] = np.isfinite(depth)
+        return seen
+
+    def masks(self, crowd: Sequence[SceneObject], kept: Mapping[str, Mask] | None = None) -> dict[str, Mask]:
+        """Each camera's foreground, ``{camera: bool (H, W)}``.
+
+        ``kept``: for each camera bool (n,), False for an object that this view misses; all for None.
+        """
+        return union(self.silhouettes(crowd), kept)
+
+    def on_floor(self, masks: Mapping[str, Mask]) -> dict[str, Mask]:
+        """The masks as shadows on the floor, ``{camera: bool (ny, nx)}``."""
+        return {name: self._warps[name].warp(mask) for name, mask in masks.items()}
+
+    def occupied(self, masks: Mapping[str, Mask], rule: str = "and") -> Mask:
+        """The map of a rule of :func:`occlib.occlusion.fuse`, bool (ny, nx); two cameras (if there are two) must see a cell."""
+        if rule not in RULES:
+            raise ValueError(f"rule: expected one of {', '.join(RULES)}, got {rule!r}")
+        visible: list[Mask] = [self._warps[name].visible for name in masks]
+        if rule == "planes":
+            views = [np.stack([plane.warp(mask) for plane in self._planes[name]]) for name, mask in masks.items()]
+            fused = fuse(views, rule, visible=[np.stack([p.visible for p in self._planes[name]]) for name in masks])
+        elif rule in ("product", "log-odds"):
+            yes, no = self.trust
+            fused = (
+                fuse([np.where(view, yes, no) for view in self.on_floor(masks).values()], rule, visible=visible) > 0.5
+            )
+        else:
+            fused = fuse(list(self.on_floor(masks).values()), rule, visible=visible)
+        return np.asarray(fused & (np.sum(visible, axis=0) >= min(2, len(masks))), dtype=bool)
+
+    def places(self, masks: Mapping[str, Mask], rule: str = "and") -> FloatArray:
+        """Where a rule puts objects, (N, 2) in m: centroids of its regions, or the axes of ``"explain"``'s cylinders."""
+        if rule in EXPLAIN:
+            return as_points([(c.x, c.y) for c in self._explainers[rule].explain(masks)])
+        floor = self.rig.floor
+        regions = find_regions(self.occupied(masks, rule), min_area=LEAST_AREA_M2 / floor.cell_area)[1]
+        return as_points([region.centroid for region in regions]) * floor.resolution + (
+            np.array([floor.x[0], floor.y[0]]) + floor.resolution / 2
+        )
+
+    def cost_ms(self, masks: Sequence[Mapping[str, Mask]], rule: str, *, repeats: int = 3) -> float:
+        """Median time from the masks of an instant to the objects' places, in ms, after one run to warm up."""
+        self.places(masks[0], rule)
+        times = []
+        for _ in range(repeats):
+            for views in masks:
+                start = time.perf_counter()
+                self.places(views, rule)
+                times.append(1000 * (time.perf_counter() - start))
+        return float(np.median(times))
+
+
+def measured_smear_m(simulation: Simulation, thing: SceneObject) -> float:
+    """How far the shadow of an upright cylinder reaches beyond it in m, read off the floor map of the rig's only camera."""
+    ((name, camera),) = simulation.rig.cameras.items()
+    floor, shadow = simulation.rig.floor, simulation.on_floor(simulation.masks([thing]))[name]
+    axis = places_m([thing])[0] - camera.centre_m[:2]
+    distance = float(np.linalg.norm(axis))
+    offset = floor.cell_centres_m()[shadow.ravel()] - camera.centre_m[:2]
+    along, across = offset @ axis / distance, (offset[:, 0] * axis[1] - offset[:, 1] * axis[0]) / distance
+    reach = along[np.abs(across) <= floor.resolution].max() + floor.resolution / 2
+    return float(reach - distance - thing.parts[0].size[0] / 2)
+
+
+def score(
+    simulation: Simulation,
+    masks: Sequence[Mapping[str, Mask]],
+    crowds: Sequence[Sequence[SceneObject]],
+    rule: str = "and",
+    *,
+    radius: float = 0.3,
+) -> dict[str, float]:
+    """What :func:`occlib.metrics.evaluate` says of a rule on these crowds; NaN where it says nothing.
+
+    Parameters
+    ----------
+    simulation
+        Whose cameras took the masks.
+    masks
+        For each crowd ``{camera: bool (H, W)}``.
+    crowds
+        Who stands there.
+    rule
+        One of :data:`occlib.occlusion.RULES` or :data:`EXPLAIN`.
+    radius
+        Within which a detection is right, in m.
+    """
+    found = {i: simulation.places(views, rule) for i, views in enumerate(masks)}
+    result = evaluate(found, truth_of(crowds), radius=radius)
+    values = {
+        "MODA": result.moda,
+        "ghosts a frame": result.ghosts_per_frame,
+        "precision": result.precision,
+        "recall": result.recall,
+        "median error (cm)": None if result.error_median_m is None else 100 * result.error_median_m,
+    }
+    return {name: np.nan if value is None else float(value) for name, value in values.items()}
+
+
+def two_view_study(rig: Rig, crowds: Sequence[Sequence[SceneObject]]) -> dict[str, float]:
+    """Ghosts a frame of the AND of two cameras, by the law, predicted and measured, beside its scores; means over the crowds."""
+    simulation, floor = Simulation(rig), rig.floor
+    masks = [simulation.masks(crowd) for crowd in crowds]
+    maps = [simulation.occupied(views) for views in masks]
+    pairs = list(zip(maps, crowds, strict=True))
+    tall = float(np.mean([thing.height for crowd in crowds for thing in crowd]))
+    ratios = [claimed_area_ratio(one, floor, [thing.footprint(0) for thing in crowd]) for one, crowd in pairs]
+    return {
+        "law": expected_crossings(rig, len(crowds[0]), tall),
+        "predicted": float(np.mean([len(crossings(rig, crowd)) for crowd in crowds])),
+        "measured": float(np.mean([ghost_regions(one, crowd, floor) for one, crowd in pairs])),
+        "claimed / true": float(np.mean([ratio for ratio in ratios if ratio is not None])),
+        **score(simulation, masks, crowds),
+    }
+
+
+def covered_share(
+    simulation: Simulation, masks: Sequence[Mapping[str, Mask]], crowds: Sequence[Any], rule: str
+) -> float:
+    """Share of the objects of which a rule's map covers at least half the base."""
+    floor = simulation.rig.floor
+    covered = [
+        footprint_coverage(simulation.occupied(views, rule), floor, [thing.footprint(0) for thing in crowd]) >= 0.5
+        for views, crowd in zip(masks, crowds, strict=True)
+    ]
+    return float(np.mean(np.concatenate(covered)))
+
+
+def union(silhouettes: Mapping[str, Mask], kept: Mapping[str, Mask] | None = None) -> dict[str, Mask]:
+    """Silhouettes ``{camera: bool (n, H, W)}`` to one mask a camera, without those not ``kept`` ``{camera: bool (n,)}``."""
+    return {n: np.any(one if kept is None else one[kept[n]], axis=0) for n, one in silhouettes.items()}
+
+
+def misses(cameras: Iterable[str], count: int, recall: float, rng: np.random.Generator) -> dict[str, Mask]:
+    """Which of ``count`` objects each camera segments: each independently with probability ``recall``, ``{camera: bool (n,)}``.
+
+    >>> {name: kept.all() for name, kept in misses(["left"], 3, 1.0, np.random.default_rng(0)).items()}
+    {'left': np.True_}
+    """
+    if not 0 <= recall <= 1:
+        raise ValueError(f"recall: expected a probability, got {recall}")
+    return {name: np.asarray(rng.random(count) < recall) for name in cameras}
+
+
+def votes_needed(rule: str, cameras: int, trust: tuple[float, float] = (0.8, 0.1)) -> int:
+    """How many of the cameras must say "yes" before a cell is occupied: with hard masks every rule is a vote.
+
+    >>> [votes_needed(rule, 4) for rule in ("and", "most", "product", "log-odds", "or")]
+    [4, 3, 4, 3, 1]
+    """
+    yes, no = trust if rule in ("product", "log-odds") else (1.0, 0.0)
+    for count in range(1, cameras + 1):
+        if fuse([np.array([[yes if i < count else no]]) for i in range(cameras)], rule)[0, 0] > 0.5:
+            return count
+    return cameras + 1

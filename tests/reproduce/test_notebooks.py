@@ -1,0 +1,197 @@
+"""Every notebook keeps the house's conventions, runs through the same runner as ``reproduce``, and delivers its numbers."""
+
+from __future__ import annotations
+
+import ast
+import json
+import re
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+import pytest
+
+from occlib.reproduce.notebook import keep_table, open_or_stop
+from occlib.reproduce.publish import _plan, reproduce
+from occlib.reproduce.runner import notebook_parameters, select_notebooks
+
+ROOT = Path(__file__).resolve().parents[2]
+NOTEBOOKS = select_notebooks(root=ROOT)
+REAL = "11_enter_a_real_laboratory"
+PAPER_FIGURES = {f"fig{number:02d}" for number in range(1, 12)}
+
+
+def cells(path: Path, kind: str | None = None) -> list[dict[str, Any]]:
+    """The notebook's cells, each with its source as one text."""
+    found = json.loads(path.read_text(encoding="utf-8"))["cells"]
+    for cell in found:
+        cell["text"] = "".join(cell["source"])
+        cell["tags"] = cell["metadata"].get("tags", [])
+    return [cell for cell in found if kind in (None, cell["cell_type"])]
+
+
+@pytest.fixture(params=NOTEBOOKS, ids=lambda path: path.stem)
+def notebook(request: pytest.FixtureRequest) -> Path:
+    return Path(request.param)
+
+
+def test_opening(notebook: Path) -> None:
+    title, imports = cells(notebook)[:2]
+    assert re.match(rf"# {notebook.stem[:2]}\b", title["text"])
+    for promise in ("do", "learn", "need"):
+        assert re.search(rf"what you will {promise}|you will {promise}|\b{promise}\b", title["text"], re.IGNORECASE)
+    assert imports["cell_type"] == "code" and "show_versions()" in imports["text"].splitlines()[-1]
+
+
+def test_parameters(notebook: Path) -> None:
+    assert {"seed", "fast"} <= set(notebook_parameters(notebook))
+    (cell,) = (cell for cell in cells(notebook) if "parameters" in cell["tags"])
+    assert all(re.search(r"#\s*\S+, \S+", line) for line in cell["text"].splitlines() if line.strip())
+
+
+def test_code_cells_are_short_and_define_nothing(notebook: Path) -> None:
+    for cell in cells(notebook, "code"):
+        assert len(cell["text"].splitlines()) <= 15, cell["text"]
+        for node in ast.walk(ast.parse(cell["text"])):
+            if isinstance(node, ast.FunctionDef | ast.ClassDef):  # a matcher of the reader's own is the exception
+                assert any("matching.matcher(" in ast.unparse(line) for line in node.decorator_list), cell["text"]
+        assert not re.search(r"(^|[\"'(\s])(/work|/home|/tmp|/root|[A-Z]:\\)", cell["text"]), cell["text"]
+
+
+def test_half_of_it_is_prose(notebook: Path) -> None:
+    prose = sum(len(cell["text"]) for cell in cells(notebook, "markdown"))
+    code = sum(len(cell["text"]) for cell in cells(notebook, "code"))
+    assert prose / (prose + code) >= 0.4
+
+
+def test_figures_are_named_and_saved_once(notebook: Path) -> None:
+    saving = [cell["text"] for cell in cells(notebook, "code") if re.search(r"\bsave\(", cell["text"])]
+    assert saving
+    for text in saving:
+        assert text.startswith("# Figure") and len(re.findall(r"\bsave\(", text)) == 1
+        assert re.search(r"\bsave\(", text.splitlines()[-1]), text
+
+
+def test_exercises_have_solutions(notebook: Path) -> None:
+    assert len([cell for cell in cells(notebook) if "solution" in cell["tags"]]) >= 3
+
+
+def test_stored_without_outputs(notebook: Path) -> None:
+    assert all(not cell["outputs"] and cell["execution_count"] is None for cell in cells(notebook, "code"))
+
+
+@pytest.fixture(scope="session")
+def fast_metrics(tmp_path_factory: pytest.TempPathFactory) -> pd.DataFrame:
+    """Metrics of every notebook, run with ``fast=True`` in a project folder of their own."""
+    home = tmp_path_factory.mktemp("project")
+    shutil.copytree(ROOT / "notebooks", home / "notebooks", ignore=shutil.ignore_patterns(".*"))
+    table = reproduce(root=home, fast=True, jobs=2, progress=False).metrics()
+    assert not (home / "figures").exists()
+    return table
+
+
+def test_every_notebook_runs_and_records(fast_metrics: pd.DataFrame) -> None:
+    assert set(fast_metrics["notebook"]) == {path.stem for path in NOTEBOOKS}
+    assert fast_metrics["value"].notna().all()
+
+
+# --- the notebook of a recording that does not ship
+
+
+def real_run(home: Path, cache: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[dict[str, float], Path, list[str]]:
+    """Run notebook 11 fast in a project of its own: its metrics, its folder, and the text that each cell printed."""
+    (home / "notebooks").mkdir(parents=True)
+    shutil.copy(*(folder / "notebooks" / f"{REAL}.ipynb" for folder in (ROOT, home)))
+    monkeypatch.setenv("OCCLIB_CACHE", str(cache))
+    report = reproduce(root=home, fast=True, progress=False)
+    folder = report.runs[0].folder
+    printed = [
+        "".join("".join(output.get("text", "")) for output in cell["outputs"])
+        for cell in cells(folder / f"{REAL}.ipynb", "code")
+    ]
+    return dict(zip(report.metrics()["metric"], report.metrics()["value"], strict=True)), folder, printed
+
+
+def test_without_the_recording_the_notebook_says_so_and_ends(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    recorded, folder, printed = real_run(tmp_path / "project", tmp_path / "cache", monkeypatch)
+    (last,) = (number for number, text in enumerate(printed) if "occlib data fetch ufes-lab" in text)
+    executed = cells(folder / f"{REAL}.ipynb", "code")
+    assert len(executed) > last + 15 and not any(cell["outputs"] for cell in executed[last + 1 :])
+    assert recorded["mark_error_left_out"] < 1.5 < 5 < recorded["mark_error_knocked"]
+    assert {path.name for path in folder.iterdir()} == {f"{REAL}.ipynb", "manifest.json", "nb11_plan.png"}
+
+
+def test_with_the_recording_it_scores_and_publishes_nothing_of_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, shared_data: Callable[[str], Path]
+) -> None:
+    """About a minute. What is recorded is the same as without the recording, so that metrics.csv fits every machine."""
+    absent, _, _ = real_run(tmp_path / "absent", tmp_path / "none", monkeypatch)
+    (tmp_path / "cache").mkdir()
+    (tmp_path / "cache/ufes-lab").symlink_to(shared_data("ufes-lab"))
+    present, folder, _ = real_run(tmp_path / "project", tmp_path / "cache", monkeypatch)
+    assert present == absent
+    assert [path.name for path in folder.glob("*.png")] == ["nb11_plan.png"]
+    table = pd.read_csv(folder / "ufes_lab_scores.csv", index_col=["region", "way"])
+    assert table.loc[("cam2+cam3 wide", "explain"), "MODA"] > table.loc[("cam2+cam3 wide", "paper"), "MODA"]
+
+
+def test_a_run_is_not_current_once_the_recording_is_fetched(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    cache = tmp_path / "cache"
+    monkeypatch.setenv("OCCLIB_CACHE", str(cache))
+    (before,) = (run.inputs for run in _plan(ROOT, [REAL], {}))
+    (cache / "ufes-lab").mkdir(parents=True)
+    (after,) = (run.inputs for run in _plan(ROOT, [REAL], {}))
+    assert before["fetched"] == [] and after["fetched"] == ["ufes-lab"]
+
+
+def test_the_cells_come_back_when_the_recording_does(
+    tmp_path: Path, tiny_recording: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from IPython.core.interactiveshell import InteractiveShell
+
+    monkeypatch.setenv("OCCLIB_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setenv("IPYTHONDIR", str(tmp_path))
+    assert open_or_stop("ufes-lab") is None  # no IPython: nothing to hold back
+    with pytest.raises(ValueError, match="no such recording"):
+        open_or_stop("elsewhere")
+    shell = InteractiveShell()
+    monkeypatch.setattr("IPython.get_ipython", lambda: shell)
+    assert open_or_stop("ufes-lab") is None
+    assert capsys.readouterr().out.count("first: occlib data fetch ufes-lab") == 2
+    shell.run_cell("held_back = 1")
+    assert "held_back" not in shell.user_ns
+    (tmp_path / "cache").mkdir()
+    (tmp_path / "cache/ufes-lab").symlink_to(tiny_recording)
+    shell.run_cell("let_through = 1")
+    assert "let_through" in shell.user_ns
+    shell.history_manager.end_session()
+    found = open_or_stop("ufes-lab")
+    assert found is not None and list(found.rig.cameras) == ["left", "right"]
+
+
+def test_a_table_is_kept_beside_the_notebook(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("OCCLIB_RUN_DIR", str(tmp_path))
+    keep_table(pd.DataFrame({"MODA": [0.5]}, index=["wide"]), "scores")
+    assert (tmp_path / "scores.csv").read_text() == ",MODA\nwide,0.5\n"
+    with pytest.raises(ValueError, match="letters, digits"):
+        keep_table(pd.DataFrame(), "../scores")
+
+
+@pytest.fixture(scope="module")
+def committed() -> dict[str, float]:
+    table = pd.read_csv(ROOT / "figures" / "metrics.csv", keep_default_na=False)
+    return {f"{row.notebook[:2]}/{row.metric}": float(row.value) for row in table.itertuples()}
+
+
+def test_every_figure_of_the_paper_is_there() -> None:
+    assert PAPER_FIGURES <= {path.stem[:5] for path in (ROOT / "figures").glob("fig*.png")}
+
+
+def test_readme_quotes_recorded_metrics(committed: dict[str, float]) -> None:
+    rows = re.findall(r"^\|.*\|\s*([-\d.]+)[^|]*\|\s*`(\d\d/[\w.-]+)`\s*\|$", (ROOT / "README.md").read_text(), re.M)
+    assert len(rows) >= 10
+    for text, name in rows:
+        digits = len(text.partition(".")[2])
+        assert round(committed[name], digits) == float(text), name
