@@ -17,6 +17,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from PIL import Image
 from scipy import ndimage
 
+from occlib import mapping
 from occlib.base import files
 from occlib.geometry import Floor, Rig
 from occlib.mapping import MODES, OccupancyMap, inflate, load_map, occupancy_map, save_map
@@ -328,7 +329,7 @@ def test_a_failed_write_is_a_one_line_error_and_leaves_no_description(
     def full_disk(path: Path, content: bytes | str) -> Path:
         raise ValueError(f"{path}: cannot write (No space left on device)")
 
-    monkeypatch.setattr(files, "write_file", full_disk)
+    monkeypatch.setattr(mapping, "write_file", full_disk)
     with pytest.raises(ValueError, match=r"map.pgm: cannot write \(No space left"):  # the picture comes first
         save_map(tmp_path / "map", asymmetric())
     assert not (tmp_path / "map.yaml").exists()

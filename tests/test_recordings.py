@@ -461,7 +461,7 @@ def full_disk(monkeypatch: pytest.MonkeyPatch, where: str) -> None:
             return FullDisk()
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
-    monkeypatch.setattr(f"occlib.recordings.{'tempfile' if where == 'mkstemp' else 'os'}.{where}", fail)
+    monkeypatch.setattr(f"occlib.base.files.{'tempfile' if where == 'mkstemp' else 'os'}.{where}", fail)
 
 
 @pytest.mark.parametrize("where", ["fdopen", "replace", "mkstemp", "chmod"])
@@ -481,7 +481,7 @@ def test_an_interrupted_write_leaves_nothing(tmp_path: Path, monkeypatch: pytest
     def interrupt(*args: Any) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("occlib.recordings.os.replace", interrupt)
+    monkeypatch.setattr("occlib.base.files.os.replace", interrupt)
     with pytest.raises(KeyboardInterrupt):
         write_file(tmp_path / "file.txt", "new")
     assert not list(tmp_path.iterdir())

@@ -20,7 +20,7 @@ def write_manifest(lab_dir: str | Path = LAB, *, spp: int = 6, llvm: str | None 
     """
     lab = Path(lab_dir)
     files = {str(p.relative_to(lab).as_posix()): _fingerprint(p) for p in _lab_files(lab)}
-    how: dict[str, Any] = {"by": "occlib.rendering.render", "variant": "llvm_ad_rgb", "spp": spp, "versions": {}}
+    how: dict[str, Any] = {"by": "occlib.lab.render", "variant": "llvm_ad_rgb", "spp": spp, "versions": {}}
     for package in ("mitsuba", "drjit", "pyoidn", "numpy", "opencv-python-headless", "scipy"):
         try:
             how["versions"][package] = metadata.version(package)

@@ -2,7 +2,7 @@
 
 In a notebook::
 
-    from occlib.experiments import record, save, show_versions
+    from occlib.reproduce import record, save, show_versions
 
     save(fig, "fig07_contour")                              # a figure
     record("centroid_error", 0.012, unit="m", tolerance=0.002)   # a number that a text quotes

@@ -680,7 +680,7 @@ def test_read_only_as_told_by_the_system(
     def refuse(*args: Any, **options: Any) -> Any:
         raise OSError(errno.EROFS, os.strerror(errno.EROFS))
 
-    monkeypatch.setattr("occlib.recordings.tempfile.mkdtemp", refuse)
+    monkeypatch.setattr("occlib.base.files.tempfile.mkdtemp", refuse)
     said = fails(capfd, "run", tiny_recording, "--out", tmp_path / "out")
     assert said == f"{tmp_path / 'out'}: cannot write (Read-only file system)"
     assert not (tmp_path / "out").exists()
@@ -733,7 +733,7 @@ def test_a_disk_that_fills_up(
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     with monkeypatch.context() as patch:
-        patch.setattr(f"occlib.recordings.os.{how}", limited)
+        patch.setattr(f"occlib.base.files.os.{how}", limited)
         said = fails(capfd, "run", tiny_recording, "--out", out, "--frames", "1:3")
     assert "cannot write (No space left on device)" in said
     assert snapshot(tmp_path) == before
@@ -1066,7 +1066,7 @@ def test_cameras_that_fail_are_named(
         def release(self) -> None:
             pass
 
-    monkeypatch.setattr("occlib.capture.Device", Broken)
+    monkeypatch.setattr("occlib.live.capture.Device", Broken)
     rig = ["--rig", str(tiny_recording / "rig.yaml"), "--background", str(tiny_recording / "background")]
     assert main(["broadcast", "--device", "0", "0", "--address", "tcp://127.0.0.1:*", *rig]) == 0
     said = capsys.readouterr()

@@ -40,7 +40,7 @@ NEVER = 0.4  # s: long enough for something that is there to come
 
 CHILD = """
 import json, sys, time
-from occlib.broadcast import Listener
+from occlib.live.broadcast import Listener
 with Listener(sys.argv[1], timeout_s=20) as listener:
     print("ready", flush=True)
     for message in listener:

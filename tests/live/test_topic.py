@@ -32,7 +32,7 @@ LISTENER = """
     from cyclonedds.sub import DataReader
     from cyclonedds.topic import Topic
     from cyclonedds.util import duration
-    from occlib.ros2 import TOPIC, latched, message_types
+    from occlib.live.topic import TOPIC, latched, message_types
     participant = DomainParticipant(int(sys.argv[1]))
     topic = Topic(participant, TOPIC, message_types()["nav_msgs/msg/OccupancyGrid"])
     for message in DataReader(participant, topic, qos=latched()).take_iter(timeout=duration(seconds=10)):

@@ -27,7 +27,7 @@ from occlib.reproduce.notebook import record, save
 from occlib.reproduce.publish import notebook_results, reproduce
 from occlib.reproduce.students import student_copies, student_copy
 
-IMPORTS = "from matplotlib.figure import Figure\nfrom occlib.experiments import record, save\nimport numpy as np"
+IMPORTS = "from matplotlib.figure import Figure\nfrom occlib.reproduce import record, save\nimport numpy as np"
 PARAMETERS = "seed = 0  # -, of the noise\nfast = False  # -, smaller\nscale = 1.5  # m, of everything"
 DRAW = "fig = Figure()\nfig.add_subplot().plot(np.random.default_rng(seed).normal(size=9))\nsave(fig, {name!r})"
 MEASURE = "record('mean', scale * np.random.default_rng(seed).normal(size=9).mean(), unit='m', tolerance=0.01)"
@@ -58,7 +58,7 @@ def package_hash() -> Iterator[None]:
     """The same all along, whoever saves a module of the package while these tests run."""
     package, folder_hash = runner.PACKAGE, files.folder_hash
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(files, "folder_hash", lambda folder: "0" if folder == package else folder_hash(folder))
+        patch.setattr(publish, "folder_hash", lambda folder: "0" if folder == package else folder_hash(folder))
         yield
 
 
@@ -135,7 +135,7 @@ def test_what_changed_is_not_current(copy: Path, change: str, monkeypatch: pytes
     else:
         (copy / "package").mkdir()
         (copy / "package/matching.py").write_text("")
-        monkeypatch.setattr(runner, "PACKAGE", copy / "package")
+        monkeypatch.setattr(publish, "PACKAGE", copy / "package")
     plan = publish._plan(copy, None, {})
     assert {item.notebook for item in plan if not publish._is_current(item)} == stale
 
@@ -301,7 +301,7 @@ def test_interrupted_run_leaves_nothing(copy: Path, sign: signal.Signals) -> Non
     started = copy / "started"
     write_notebook(copy, "01_draw", f"import pathlib, time\npathlib.Path({str(started)!r}).touch()\ntime.sleep(60)")
     before = {**contents(copy), "started": b""}
-    code = f"from occlib.experiments import reproduce; reproduce(root={str(copy)!r}, progress=False)"
+    code = f"from occlib.reproduce import reproduce; reproduce(root={str(copy)!r}, progress=False)"
     environment = {**os.environ, "PYTHONPATH": str(runner.PACKAGE.parent), "TMPDIR": str(copy)}
     process = subprocess.Popen([sys.executable, "-c", code], env=environment, stderr=subprocess.PIPE)
     _wait(started.exists)
@@ -343,7 +343,7 @@ def test_figures_are_written_aside_first(copy: Path, monkeypatch: pytest.MonkeyP
             raise ValueError(f"{path}: cannot write (No space left on device)")
         return write_file(path, content)
 
-    monkeypatch.setattr(files, "write_file", full)
+    monkeypatch.setattr(publish, "write_file", full)
     with pytest.raises(ValueError, match="No space left"):
         publish._publish(copy, runs)
     assert contents(copy / "figures") == before

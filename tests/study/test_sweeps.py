@@ -389,7 +389,7 @@ def test_a_disk_that_fills_up(
         real(*args)
 
     with monkeypatch.context() as patch:
-        patch.setattr("occlib.recordings.os.replace", limited)
+        patch.setattr("occlib.base.files.os.replace", limited)
         if room < 6:
             with pytest.raises(ValueError, match="cannot write \\(No space left on device"):
                 run_batches(toys(2), work, out, progress=False)

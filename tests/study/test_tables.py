@@ -283,7 +283,7 @@ def test_a_perfect_and_an_absurd_matcher(monkeypatch):
 
         return score
 
-    monkeypatch.setattr(trials, "measured_trial", spying)
+    monkeypatch.setattr(work_module, "measured_trial", spying)
     base = vars(measures.METHODS["ssd"])
     free = {"bounds": (-np.inf, np.inf), "default_threshold": lambda *_: 3.0}
     oracle, fool = (
