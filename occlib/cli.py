@@ -179,8 +179,8 @@ def run(args: argparse.Namespace) -> int:
     from tqdm import tqdm
 
     from occlib.base.files import read_yaml, staged_folder, write_file
-    from occlib.explaining.appearance import read_templates
     from occlib.formats import load_truth
+    from occlib.identification import read_templates
     from occlib.live import bags
     from occlib.mapping import MODES, save_map
     from occlib.pipeline import Pipeline, backgrounds_of, settings_for
@@ -218,7 +218,7 @@ def run(args: argparse.Namespace) -> int:
                 save_map(stage / "maps" / f"{frame:06d}", result.map, mode=args.map_mode)
             if args.bag:
                 maps.append((result.time, result.map))
-        title = f"{recording.path.name}, frame {frames[-1]}, rule {settings.rule}, profile {args.profile}"
+        title = f"{recording.path.name}, frame {frames[-1]}, rule {settings.finder.rule}, profile {args.profile}"
         picture = figure_png(overview(recording.rig, shown, result, title=title, truth=known.get(frames[-1], [])))
         written = [read_yaml(save_map(stage / "map", result.map, mode=args.map_mode))["image"], "map.yaml"]
         if args.bag:

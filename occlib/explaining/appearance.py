@@ -4,15 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from itertools import combinations
-from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
 from occlib.base.arrays import FloatArray, Image, Mask, as_points
-from occlib.base.files import read_image
 from occlib.explaining.cylinders import Cylinder
 from occlib.geometry import Rig
 from occlib.matching.search import similarity
@@ -87,24 +84,6 @@ def colour_agreement(
     return np.where(largest < 0, np.nan, largest)
 
 
-LIKENESS, DISTINCT = 38.0, 1.1
-"""Mean absolute difference, in grey levels, up to which an object resembles a template, and by how much another must be worse."""
-
-
-def _template(label: str, picture: Any) -> tuple[Image, Mask | None]:
-    """A template's colours and the pixels that count."""
-    picture = np.asarray(picture)
-    if picture.dtype != np.uint8 or picture.ndim != 3 or picture.shape[2] not in (3, 4) or min(picture.shape[:2]) < 4:
-        raise ValueError(
-            f"templates[{label!r}]: expected uint8 RGB or RGBA of 4 x 4 px or more, got {picture.dtype} {picture.shape}"
-        )
-    if picture.shape[2] == 3:
-        return picture, None
-    if not (picture[..., 3] > 127).any():
-        raise ValueError(f"templates[{label!r}]: expected pixels that are more opaque than not, got none")
-    return np.ascontiguousarray(picture[..., :3]), picture[..., 3] > 127
-
-
 def _likeness(window: Image, picture: Image, mask: Mask | None, height: int) -> float:
     """Least mean absolute difference of a template, resized to about ``height``, in a window; infinite if it does not fit."""
     best = np.inf
@@ -126,15 +105,3 @@ def _box(thing: Cylinder, rig: Rig, name: str) -> tuple[int, int, int, int]:
     left, top = np.floor(points.min(axis=0)).astype(int).tolist()
     right, bottom = np.ceil(points.max(axis=0)).astype(int).tolist()
     return left, top, right, bottom
-
-
-def read_templates(folder: str | Path) -> dict[str, Image]:
-    """Pictures of known objects, ``LABEL.png``: ``{label: uint8 RGBA (H, W, 4)}``; what is transparent does not count."""
-    templates = {}
-    for path in sorted(Path(folder).glob("*.png")):
-        picture = read_image(path, alpha=True)
-        opaque = np.full((*picture.shape[:2], 1), 255, np.uint8)
-        templates[path.stem] = picture if picture.shape[2] == 4 else np.dstack([picture, opaque])
-    if not templates:
-        raise ValueError(f"{folder}: expected pictures named LABEL.png, found none")
-    return templates

@@ -9,7 +9,7 @@ from occlib.lab.missions import MAPS, Mission, Outcome, drive_together, random_m
 from occlib.lab.rendering import floor_marks, render
 from occlib.lab.scenes import Scene, SceneObject, Waypoint, floor_board, load_scene
 from occlib.lab.shapes import Part, hit_distance, rotation_xyz, unit_mesh
-from occlib.lab.simulation import EXPLAIN, Simulation, covered_share, measured_smear_m, misses, score
+from occlib.lab.simulation import EXPLAIN, Simulation, covered_share, evidence_of, measured_smear_m, misses, score
 from occlib.lab.simulation import two_view_study, union, votes_needed
 from occlib.lab.truth import depth_image, ground_truth, silhouettes
 
