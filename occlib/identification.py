@@ -12,7 +12,8 @@ What the paper leaves open, and what is done here:
   subtracted image. An object that comes later, or that a view never shows apart, has no template there and no label.
 * *Which gray values.* Templates that were cut are matched in the subtracted image, as they are. A given picture shows the object
   itself: it is matched in the gray levels of the view, adjusted to the background's intensity.
-* *Which threshold.* Half of the template's own contrast, :func:`occlib.matching.default_threshold`.
+* *Which threshold.* Otsu's, the only one that the paper names ("gray thresh"). It always accepts something: where a known object is absent,
+  its template may label an object that no other template claims.
 * *Two templates for one object.* The smaller dissimilarity wins; a template shows one object, so it labels one.
 * *Which object of the map is it.* The one that the identified region, warped to the floor, covers most of.
 * *Which view's size.* The mean over the views that identify the object.
@@ -64,7 +65,7 @@ class IdentifierSettings:
     """
 
     method: str = "ssd"
-    limit: float | str = "default"
+    limit: float | str = "otsu"
     optima: str = "components"
     min_area_px: int = 40
     cell_px: int = 40

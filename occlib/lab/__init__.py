@@ -15,7 +15,7 @@ from occlib.lab.truth import depth_image, ground_truth, silhouettes
 
 __all__ = [
     "BEARINGS", "EXPLAIN", "FLOOR", "MAPS", "Mission", "Outcome", "Part", "Scene", "SceneObject", "Simulation",
-    "Waypoint", "colour_study", "covered_share", "crossings", "depth_image", "drive_together", "expected_crossings",
+    "Waypoint", "colour_study", "covered_share", "crossings", "depth_image", "drive_together", "evidence_of", "expected_crossings",
     "floor_board", "floor_marks", "ghost_regions", "ground_truth", "hit_distance", "load_scene", "measured_smear_m",
     "misses", "places_m", "random_crowd", "random_crowds", "random_mission", "render", "rotation_xyz",
     "run_missions", "score", "shadow_mask", "shadow_outline_m", "silhouettes", "smear_m", "summary", "truth_of",
