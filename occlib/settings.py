@@ -127,7 +127,7 @@ def _leaves(group: Any, path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str,
         value = getattr(group, name)
         if is_dataclass(value) or hasattr(value, "_fields"):
             yield from _leaves(value, (*path, name))
-        else:
+        elif value is not None:  # None: a group that this profile does without
             yield (*path, name), value
 
 
