@@ -622,7 +622,7 @@ def test_the_other_camera_carries_on_alone(tiny_rig: Rig, draw: Draw, settings: 
         assert list(result.views) == ["left"]
         assert all("right" not in thing.hidden_in for thing in result.objects)
         assert not (result.map.data == 0).any()  # what one view says is bare may be hidden from the other: unknown
-        if settings.rule == "explain":
+        if settings.finder.rule == "explain":
             agree(result, boxes, 0.15)  # the model of an upright body places it from one view
             assert set(np.unique(result.reason)) == {0, ONE_VIEW}
         else:  # AND of one view is its shadows: nothing is claimed
