@@ -18,10 +18,6 @@ def commands() -> list[str]:
     return list(next(a for a in build_parser()._actions if isinstance(a.choices, dict)).choices)  # type: ignore[arg-type]
 
 
-def test_the_commands_of_the_contract_are_there() -> None:
-    assert {"reproduce", "run", "broadcast", "listen", "evaluate", "calibrate", "render", "data"} <= set(commands())
-
-
 @pytest.mark.parametrize("command", [[], *([name] for name in commands())])
 def test_help(command: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as leave:
