@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import builtins
 import json
+import signal
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,9 +20,19 @@ import pytest
 
 from occlib.geometry import Camera, Floor, Rig
 
+pytest.register_assert_rewrite("helpers")
 collect_ignore_glob = ["bench_*.py"]  # scripts, without tests
+if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
+    # As in `nohup make test &`. Whatever is ignored is so in child processes, too, and tests interrupt theirs; a handler,
+    # even one that does nothing, is not inherited.
+    signal.signal(signal.SIGINT, lambda *_: None)
 SHARED = Path(__file__).parents[2] / "shared/data"
 SIZE, FLOOR_GREY = (160, 120), (170, 170, 170)
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """The slow tests first, so that no core waits for the last of them."""
+    items.sort(key=lambda item: item.get_closest_marker("slow") is None)
 
 
 @dataclass(frozen=True)

@@ -34,10 +34,9 @@ from occlib.geometry import Floor
 from occlib.lab.crowds import random_crowd, upright, wall_rig
 from occlib.lab.scenes import SceneObject
 from occlib.lab.simulation import Simulation, evidence_of, union
-from occlib.live.broadcast import Listener, Publisher
+from occlib.live import Listener, Publisher
 from occlib.mapping import MapData, occupancy_map
-from occlib.robots.navigation import Navigator, path_length_m, plan, shorten
-from occlib.robots.reservations import Point, Reservations, Trajectory, position_at
+from occlib.robots import Navigator, Point, Reservations, Trajectory, path_length_m, plan, position_at, shorten
 
 MAPS = ("truth", "one view", "and", "explain", "explain, unknown free")
 """What is broadcast: the true footprints; what the left camera alone cannot see as floor; AND; the objects that explain both
