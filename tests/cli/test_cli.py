@@ -22,11 +22,12 @@ import pytest
 import yaml
 
 from occlib import __version__
-from occlib.cli import _spans, build_parser, main
+from occlib.cli import build_parser, main
 from occlib.formats import load_objects
 from occlib.live.broadcast import Publisher
 from occlib.pipeline import PROFILES
 from occlib.recordings import LAB, open_recording
+from occlib.running import frame_ranges
 
 Array = np.ndarray[Any, Any]
 Damage = Callable[[Path], object]
@@ -378,7 +379,7 @@ def test_four_cameras_one_missing_one_covered_one_frozen(tmp_path: Path, capsys:
     ],
 )
 def test_frames_as_ranges_of_those_that_were_run(some: Sequence[int], expected: str) -> None:
-    assert _spans(list(some), range(40, 100, 4)) == expected
+    assert frame_ranges(list(some), range(40, 100, 4)) == expected
 
 
 # --- evaluate --------------------------------------------------------------------------------------
