@@ -12,17 +12,17 @@ from typing import TYPE_CHECKING, Self
 from tqdm import tqdm
 
 from occlib.base.arrays import Image
-from occlib.foreground.background import Background, average_background
 from occlib.geometry import Rig
 from occlib.live import capture
 from occlib.recordings import Recording
 
 if TYPE_CHECKING:
+    from occlib.foreground import Background
     from occlib.live.broadcast import Publisher
     from occlib.live.topic import MapTopic
     from occlib.pipeline import Settings
 
-# The pipeline is imported where it is used: who only listens does not wait for it.
+# The pipeline and its compiled loops are imported where they are used: who only listens does not wait for them.
 
 
 @dataclass(frozen=True)
@@ -100,6 +100,8 @@ def live_feed(
     ValueError
         In one line: a camera without a device or without pictures, or a device that cannot be opened. None stays open then.
     """
+    from occlib.foreground import average_background
+
     for name, given in (("devices", devices), ("pictures", pictures)):
         if missing := [camera for camera in rig.cameras if camera not in given]:
             raise ValueError(f"{name}: expected one for every camera, missing {', '.join(missing)}")
