@@ -302,7 +302,7 @@ class Pipeline:
     ) -> tuple[npt.NDArray[np.int32], list[Observation], FloatArray, npt.NDArray[np.int64]]:
         assert self._explainer is not None
         points = standing_points(self._explainer.evidence, things).tolist()
-        standing = [replace(thing, x=x, y=y) for thing, (x, y) in zip(things, points, strict=True)]
+        standing = [thing._replace(x=x, y=y) for thing, (x, y) in zip(things, points, strict=True)]
         labels = footprints(standing, occupied, self.rig.floor)
         hidden, by = self._explainer.state(frames)
         areas = np.bincount(labels.ravel(), minlength=len(things) + 1)[1:] * self.rig.floor.cell_area

@@ -13,7 +13,7 @@ from occlib.base.arrays import FloatArray, Image, Mask
 from occlib.explaining.cylinders import Cylinder
 from occlib.explaining.evidence import PolarEvidence, PolarWarp
 from occlib.explaining.hiding import occlusion_state
-from occlib.explaining.search import DEFAULT, Explanation, explain
+from occlib.explaining.search import DEFAULT, ExplainSettings, explain
 from occlib.foreground.background import Background
 from occlib.foreground.shadows import SURE
 from occlib.geometry import Floor, Rig
@@ -41,7 +41,7 @@ class MaskExplainer:
     def __init__(
         self,
         rig: Rig,
-        how: Explanation = DEFAULT,
+        how: ExplainSettings = DEFAULT,
         *,
         step_rad: float = 0.0045,
         planes_m: Sequence[float] = (0.0, 0.1, 0.3),
@@ -74,7 +74,7 @@ class MaskExplainer:
             ),
             axis=0,
         )
-        return explain(PolarEvidence.of(views), standing, before=before, how=self.how)
+        return explain(PolarEvidence.of(views), standing, previous=before, settings=self.how)
 
 
 def standing_places(
@@ -114,7 +114,7 @@ PLANES_M = (0.0, 0.1, 0.3, 0.6, 1.0, 1.4)
 class _Explainer:
     """Turns the views' evidence into polar views, and keeps the last instant's objects."""
 
-    def __init__(self, rig: Rig, backgrounds: Mapping[str, Background], how: Explanation = DEFAULT) -> None:
+    def __init__(self, rig: Rig, backgrounds: Mapping[str, Background], how: ExplainSettings = DEFAULT) -> None:
         self.how, self.before = how, list[Cylinder]()
         # a picture of fewer px is sampled finer: the objects are as large
         self.polar = {n: PolarWarp(c, rig.floor, 3.0 * min(1.0, c.size[0] / 640)) for n, c in rig.cameras.items()}
@@ -147,7 +147,7 @@ class _Explainer:
             ]
             visible = [self.visible[name] for name in evidence]
             places = standing_places(votes, visible, self.coarse, level=0, views=min(2, len(self.polar)))
-            self.before = explain(self.evidence, places, before=self.before, how=self.how)
+            self.before = explain(self.evidence, places, previous=self.before, settings=self.how)
         else:
             self.before = []
         return self.before

@@ -20,8 +20,7 @@ from typing import Any
 import numpy as np
 
 from occlib.base.arrays import FloatArray, Mask, as_points
-from occlib.explaining.explainer import MaskExplainer
-from occlib.explaining.search import DEFAULT, Explanation
+from occlib.explaining import DEFAULT, ExplainSettings, MaskExplainer
 from occlib.geometry import Rig
 from occlib.lab.crowds import places_m, truth_of
 from occlib.lab.ghosts import LEAST_AREA_M2, crossings, expected_crossings, ghost_regions
@@ -65,7 +64,7 @@ class Simulation:
 
     rig: Rig
     trust: tuple[float, float] = (0.8, 0.1)
-    how: Explanation = DEFAULT
+    how: ExplainSettings = DEFAULT
 
     @cached_property
     def _scene(self) -> Scene:
