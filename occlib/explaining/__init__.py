@@ -1,4 +1,4 @@
-"""Beyond AND: the fewest upright objects that explain all silhouettes, where they stand, who hides whom, what they look like."""
+"""Beyond AND: the fewest upright objects that explain all silhouettes; where they stand, who hides whom."""
 # fmt: off
 
 from occlib.explaining.appearance import axis_colours, colour_agreement, read_templates

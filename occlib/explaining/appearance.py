@@ -1,4 +1,4 @@
-"""What objects look like: the colour along their axes, whether the views agree about it, and which known object they resemble."""
+"""What objects look like: their colour, whether the views agree about it, and which known object they resemble."""
 
 from __future__ import annotations
 
@@ -21,7 +21,8 @@ AXIS_SHARES = (0.3, 0.4, 0.5, 0.6, 0.7)
 """Shares of an object's height at which its colour is read, clear of the floor and of what is seen beyond its top."""
 
 LIKENESS, DISTINCT = 38.0, 1.1
-"""Mean absolute difference, in grey levels, up to which an object resembles a template, and by how much another must be worse."""
+"""An object resembles a template up to this mean absolute difference in grey levels, if that of every other template is so
+many times as large."""
 
 OPAQUE = 127
 """Pixels of a template with an alpha above this count, 0 to 255."""
@@ -71,8 +72,8 @@ def colour_agreement(
 ) -> FloatArray:
     """How much the views disagree about the colour of what may stand at a place: a ghost test.
 
-    All views show the same colour at an object that no other hides. At a ghost each view shows another object, the one that
-    casts its shadow there.
+    All views show the same colour at an object that no other hides. At a ghost each view shows another object, the one
+    that casts its shadow there.
 
     Parameters
     ----------
@@ -81,8 +82,8 @@ def colour_agreement(
 
     Returns
     -------
-    Shape (N,): the largest distance between the colours of two views in grey levels, 0 to 442, lower is more alike; NaN where
-    fewer than two views see the axis.
+    Shape (N,): the largest distance between the colours of two views in grey levels, 0 to 442, lower is
+    more alike; NaN where fewer than two views see the axis.
 
     Raises
     ------
@@ -121,7 +122,7 @@ def _template(label: str, picture: Any) -> tuple[Image, Mask | None]:
 
 
 def _likeness(window: Image, picture: Image, mask: Mask | None, height: int) -> float:
-    """Least mean absolute difference of a template, resized to about ``height``, in a window; infinite if it does not fit."""
+    """Least mean absolute difference of a template, about ``height`` px high, in a window; infinite if it fits nowhere."""
     best = np.inf
     for scale in height / len(picture) * SCALES:
         size = tuple(round(float(scale * side)) for side in picture.shape[1::-1])
@@ -144,7 +145,7 @@ def _box(cylinder: Cylinder, rig: Rig, name: str) -> tuple[int, int, int, int]:
 
 
 def read_templates(folder: str | Path) -> dict[str, Image]:
-    """Pictures of known objects, ``LABEL.png``: ``{label: uint8 RGBA (H, W, 4)}``; what is transparent does not count."""
+    """Pictures of known objects, ``LABEL.png``: ``{label: uint8 RGBA (H, W, 4)}``; transparent px do not count."""
     templates = {}
     for path in sorted(Path(folder).glob("*.png")):
         picture = read_image(path, alpha=True)

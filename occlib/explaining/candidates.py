@@ -25,8 +25,17 @@ ROUNDING = 1e-9
 
 
 class _Disc(NamedTuple):
-    """What does not depend on the height: a disc's columns ``first`` to ``last`` in each view, int64 (K,), and for each column, (K,
-    columns), the distances ``near`` and ``far`` in m, the row ``base`` after its last one and the ``rim`` in rows."""
+    """What does not depend on a cylinder's height.
+
+    Parameters
+    ----------
+    first, last
+        In each view its first column and the one after the last, int64 (K,).
+    near, far
+        In each column the distances to the edges of its base, see :func:`edges`, float64 (K, columns).
+    base, rim
+        In each column the row after the last and the rim in rows, see :func:`foot`, int64 (K, columns).
+    """
 
     first: Any
     last: Any
@@ -40,8 +49,8 @@ class _Disc(NamedTuple):
 def candidates(work: Any, sums: Any, places: Any, cost: float) -> Any:
     """For each place and radius the best height, if any is worth its cost: cylinders (N, 4) and their values (N,).
 
-    What does not depend on the height is worked out once; the values are those of :func:`occlib.explaining.objective.gain`. The search goes up until
-    the most that the columns hold would no longer pay for what is covered.
+    What does not depend on the height is worked out once; the values are those of :func:`occlib.explaining.objective.gain`.
+    The search goes up until the most that the columns hold would no longer pay for what is covered.
     """
     most = _most(work, sums)
     found, values, n = np.empty((len(places) * len(RADII), 4)), np.empty(len(places) * len(RADII)), 0
@@ -117,7 +126,7 @@ def _fill(work: Any, disc: Any, most: Any, x: float, y: float, radius: float) ->
 
 @compiled
 def _value_and_area(work: Any, sums: Any, disc: Any, radius: float, height: float, cost: float) -> Any:
-    """The ``value`` of :func:`occlib.explaining.objective.gain` for one height, and the samples covered that the cost is for."""
+    """The ``value`` of :func:`gain` for one height, and the samples covered, which the cost is for."""
     total, area = 0.0, 0.0
     for k in range(len(work.views)):
         view = view_at(work.views, k)

@@ -1,8 +1,8 @@
 """Upright cylinders: the shape that every object is taken to have, which sizes are plausible, and their silhouettes.
 
 The silhouettes are those in polar views (:mod:`occlib.explaining.evidence`): a column is an azimuth about the camera, a
-row an angle of depression. There an upright cylinder covers one run of rows in each column, from the near edge of its base (the
-last row) up to the far edge of its top (the first row), so a few angles describe it, whatever its size.
+row an angle of depression. There an upright cylinder covers one run of rows in each column, from the near edge of its
+base (the last row) up to the far edge of its top (the first row), so a few angles describe it, whatever its size.
 """
 
 from __future__ import annotations
@@ -19,20 +19,20 @@ PERSON_M = 1.4
 """Cylinders of this height in m or more are treated as people: parts of the head and the legs need not be seen."""
 
 CHIN = 0.87
-"""Height of a person's chin as a share of the whole; above it there is only a head (Drillis and Contini 1966: 0.870)."""
+"""A person's chin as a share of the height; above it there is only a head (Drillis and Contini 1966: 0.870)."""
 
 LEGS = 0.4
-"""Up to this share of a person's height the legs may be apart (Drillis and Contini 1966: knee at 0.285, hip at 0.530)."""
+"""Up to this share of the height a person's legs may be apart (Drillis and Contini 1966: knee 0.285, hip 0.530)."""
 
 HEAD = 0.83
-"""Where a person's cylinder is narrower than this share of its width, seen along the sight-line, there need be no head."""
+"""A column need not show a head where it cuts a person's cylinder along less than this share of the diameter."""
 
 RIM_M = 0.12
-"""Height in m of the rim in front of an object's base and above its top. Foreground that goes on there counts against the object,
-whose silhouette should end where the foreground ends: a ghost floats in the silhouettes of others."""
+"""Height in m of the rim in front of an object's base and above its top. Foreground that goes on there counts against
+the object, whose silhouette should end where the foreground ends: a ghost floats in the silhouettes of others."""
 
 BELOW_CAMERA = 1.02
-"""A cylinder whose axis is nearer to the camera's mast than this many radii has no silhouette: the camera hangs above it."""
+"""A cylinder has no silhouette if its axis is within this many radii of the camera's: the camera hangs above it."""
 
 # --- plausible sizes: neither a pole nor a sheet nor a wall
 MIN_RADIUS_M, MIN_HEIGHT_M, MAX_HEIGHT_M = 0.05, 0.025, 2.0
@@ -45,8 +45,8 @@ FLAT = 0.2
 """A cylinder's height is at least this share of its radius, else it is a sheet on the floor."""
 
 LOW_M, WIDE_M, WIDE_TALL_M, NARROWING = 0.7, 0.45, 0.22, 0.46
-"""Greatest radius: ``WIDE_M`` (an armchair) for what is ``LOW_M`` high or lower; higher up it falls by ``NARROWING`` m per m to
-``WIDE_TALL_M`` (a person). What is wider is several objects side by side."""
+"""Greatest radius: ``WIDE_M`` (an armchair) for what is ``LOW_M`` high or lower; higher up it falls by ``NARROWING`` m
+per m to ``WIDE_TALL_M`` (a person). What is wider is several objects side by side."""
 
 
 class Cylinder(NamedTuple):
@@ -131,7 +131,7 @@ def cylinder_at(cylinders: Any, i: int) -> Any:
 
 @compiled
 def span_of(view: Any, columns: int, x: float, y: float, radius: float) -> Any:
-    """:class:`Span` of a disc on the floor. Its tangents from the camera lie ``arcsin(radius / distance)`` off its centre."""
+    """:class:`Span` of a disc on the floor, whose tangents lie ``arcsin(radius / distance)`` to either side of its centre."""
     dx, dy = x - view.x, y - view.y
     distance = np.hypot(dx, dy)
     azimuth = (np.arctan2(dy, dx) - view.middle + np.pi) % (2 * np.pi) - np.pi
@@ -145,7 +145,7 @@ def span_of(view: Any, columns: int, x: float, y: float, radius: float) -> Any:
 
 @compiled
 def edges(view: Any, column: int, span: Any, radius: float) -> Any:
-    """Distances in m along the floor to the near and the far edge of a disc in a column: where its ray enters and leaves."""
+    """Distances in m along the floor at which a column's ray enters and leaves a disc."""
     turn = view.left + column * view.step - span.azimuth
     chord = np.sqrt(max(radius * radius - (span.distance * np.sin(turn)) ** 2, 0.0))
     return span.distance * np.cos(turn) - chord, span.distance * np.cos(turn) + chord
@@ -169,7 +169,7 @@ def _top(view: Any, near: float, far: float, height: float) -> int:
 def run_between(
     view: Any, rows: int, near: float, far: float, base: int, rim: int, radius: float, height: float
 ) -> Any:
-    """:class:`Run` of a cylinder in a column, from what :func:`edges` (near, far) and :func:`foot` (base, rim) say of it."""
+    """:class:`Run` of a cylinder in a column, from its :func:`edges` (near, far) and its :func:`foot` (base, rim)."""
     low = min(max(_top(view, near, far, height), 0), rows)
     high = max(min(max(base, 0), rows), low)
     trunk, legs = low, high
@@ -200,7 +200,7 @@ def silhouette(view: Any, columns: int, rows: int, cylinder: Any) -> Any:
 
 
 def as_array(cylinders: Sequence[Cylinder], name: str) -> FloatArray:
-    """Cylinders as float64 (N, 4); ValueError, naming the argument, where a number is not finite or a size not positive."""
+    """Cylinders as float64 (N, 4); a number that is not finite or a size that is not positive is a ValueError."""
     array = np.array(cylinders, dtype=np.float64).reshape(-1, 4)
     if not (np.isfinite(array).all() and (array[:, 2:] > 0).all()):
         raise ValueError(f"{name}: expected finite places and sizes > 0, got {list(cylinders)}")

@@ -1,7 +1,7 @@
 """Polar views: what each camera says about foreground, by azimuth and angle of depression about its station.
 
-A vertical line of the world, whatever its distance, is a vertical line of the polar view; what stands upright covers in each
-column one run of rows. Such runs are known as stixels (Badino et al. 2009, doi:10.1007/978-3-642-03798-6_6).
+A vertical line of the world, whatever its distance, is a vertical line of the polar view; what stands upright covers in
+each column one run of rows. Such runs are known as stixels (Badino et al. 2009, doi:10.1007/978-3-642-03798-6_6).
 """
 
 from __future__ import annotations
@@ -103,7 +103,7 @@ class PolarEvidence:
 
     @classmethod
     def of(cls, views: Sequence[tuple[PolarView, Image, Mask]]) -> PolarEvidence:
-        """Views of different size side by side: for each its parameters, weights and samples seen, the last two (rows, columns)."""
+        """Views of different size side by side: each its parameters, and its weights and samples seen, (rows, columns)."""
         sizes = np.array([seen.shape[::-1] for _, _, seen in views], np.int64)
         columns, rows = sizes.max(axis=0)
         weights, seen = np.zeros((len(views), rows, columns), np.int32), np.zeros((len(views), rows, columns), bool)

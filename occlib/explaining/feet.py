@@ -1,4 +1,4 @@
-"""Where on the floor an object stands: a person between its feet, all else at the mean of the places that explain as much."""
+"""Where an object stands: a person between the feet, all else at the mean of the places that explain as much."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ FEET_M, SPREAD_M = 0.35, 0.4
 """A person's feet are looked for up to this height above the floor and this far to the sides of its axis, in m."""
 
 LEGS_M2, MAX_LEGS = 0.08, 2.6
-"""Area in m2 that two legs show there. What shows more shows something else as well: beyond ``MAX_LEGS - 1`` times as much the view
-is trusted less, from ``MAX_LEGS`` times on not at all."""
+"""Area in m2 that two legs show there. What shows more shows something else as well: beyond ``MAX_LEGS - 1`` times as
+much the view is trusted less, from ``MAX_LEGS`` times on not at all."""
 
 EDGE = 14
 """Of the foreground around the feet this part of the whole (a fourteenth) is left out on either side: noise."""
@@ -37,18 +37,20 @@ MARGIN_M = 0.05
 """Others are enlarged by so many m before they are left out, where a person's feet are looked for."""
 
 MEAN_SHARE, MAX_EXPONENT = 0.02, 50.0
-"""A place that explains this share less counts 1/e in the mean; the exponent is limited, lest it overflow where nothing is explained."""
+"""A place that explains this share less counts 1/e in the mean; the exponent is limited, so that it does not overflow."""
 
 MEAN_VIEWS = 2
 """The mean runs along the sight-lines of so many views, those nearest to the object."""
 
 MEAN_STEPS, MEAN_STEP_M, MEAN_SIZE_STEP_M = 4, 0.01, 0.015
-"""So many steps of so many m to either side along a sight-line, and one step of so many m up and down in radius and height."""
+"""Steps to either side along a sight-line and their length in m; one step in m up and down of radius and height."""
 
 
 @compiled
 def _between_feet(view: Any, size: Any, weights: Any, x: float, y: float) -> Any:
-    """Azimuth in rad halfway between the outer edges of the foreground around the feet, and the share of two legs that it shows, 0 to 1."""
+    """Azimuth in rad halfway between the outer edges of the foreground around the feet, and how much it is to be trusted.
+
+    That is the share of two legs that it shows, 0 to 1, and less again if it shows more than legs."""
     distance = max(np.hypot(x - view.x, y - view.y), 2 * SPREAD_M)
     azimuth = (np.arctan2(y - view.y, x - view.x) - view.middle + np.pi) % (2 * np.pi) - np.pi
     half = SPREAD_M / distance
@@ -75,7 +77,7 @@ def _between_feet(view: Any, size: Any, weights: Any, x: float, y: float) -> Any
 
 @compiled
 def _mean_place(work: Any, sums: Any, cylinder: Any, cost: float) -> Any:
-    """The mean of the places along the sight-lines of the nearest views, weighed by how nearly a cylinder there explains as much."""
+    """The mean of places along the sight-lines of the nearest views, weighed by how much cylinders there explain."""
     best = max(gain(work, sums, cylinder, cost).value, TINY)
     total, x, y = 0.0, 0.0, 0.0
     for k in np.argsort(np.hypot(cylinder.x - work.views[:, 0], cylinder.y - work.views[:, 1]))[:MEAN_VIEWS]:
@@ -104,7 +106,7 @@ def _mean_place(work: Any, sums: Any, cylinder: Any, cost: float) -> Any:
 
 @compiled
 def _feet(work: Any, weights: Any, cylinder: Any) -> Any:
-    """The point that agrees best with a person's axis and with the bearings between its feet, no further than it may lean.
+    """The point that agrees best with a person's axis and with the bearings between the feet, within :data:`LEAN_M`.
 
     The least squares of :func:`standing_points`, by their normal equations: ``[[a, b], [b, c]] (x, y) = (u, v)``.
     """
@@ -142,16 +144,17 @@ def standing_points(
     """Where on the floor each object stands.
 
     The cylinder that explains most is one of many that explain nearly as much, above all where only one view sees the
-    object: a little farther and lower looks the same. Its point is the mean over those within 4 cm along the sight-lines of
-    the two nearest views, with weights ``exp((gain / largest - 1) / 0.02)``, other objects left as they are.
+    object: a little farther and lower looks the same. Its point is the mean over those within 4 cm along the
+    sight-lines of the two nearest views, with weights ``exp((gain / largest - 1) / 0.02)``, other objects left as they
+    are.
 
-    A person, a cylinder of 1.4 m or more, leans, and stands where the legs are: its point is the one that agrees best with its axis
-    ``p`` and with the bearing ``a_k`` halfway between its feet in each view,
+    A person, a cylinder of 1.4 m or more, leans, and stands where the legs are: its point is the one that agrees best
+    with its axis ``p`` and with the bearing ``a_k`` halfway between its feet in each view,
 
         argmin |x - p|^2 + sum over views of 4 s_k^2 (n_k . (x - c_k))^2,    n_k = (-sin a_k, cos a_k)
 
-    where ``c_k`` is the camera's station and ``s_k`` the share of two legs that it shows, other objects left out; 0, if it
-    shows far more than legs. It lies within 0.15 m of the axis.
+    where ``c_k`` is the camera's station and ``s_k`` the share of two legs that it shows, other objects left out; 0, if
+    it shows far more than legs. It lies within 0.15 m of the axis.
 
     Parameters
     ----------

@@ -16,7 +16,7 @@ from occlib.explaining.evidence import PolarEvidence, view_at
 
 @compiled
 def _cover_seen(seen_sums: Any, own: Any, other: Any, covered: Any) -> int:
-    """Mark in ``covered``, bool (columns of its own, rows), the samples seen that two silhouettes share; their number."""
+    """Mark in ``covered``, bool (columns of ``own``, rows), the samples seen that both silhouettes hold; their number."""
     count = 0
     first, last = max(own.first, other.first), min(own.first + len(own.low), other.first + len(other.low))
     for column in range(first, last):
@@ -30,7 +30,7 @@ def _cover_seen(seen_sums: Any, own: Any, other: Any, covered: Any) -> int:
 
 @compiled
 def _hidden(views: Any, sizes: Any, seen_sums: Any, cylinders: Any, fractions: Any, by: Any) -> None:
-    """Fill ``fractions`` and ``by`` of :func:`occlusion_state`: samples of the silhouette that nearer ones cover, over all seen."""
+    """Fill ``fractions`` (samples that nearer silhouettes cover, over all seen) and ``by`` of :func:`occlusion_state`."""
     for k in range(len(views)):
         view = view_at(views, k)
         columns, rows = sizes[k]

@@ -4,10 +4,11 @@ Summed over the samples of all polar views, a set of cylinders is worth
 
     sum over covered samples of w  -  cost * (samples that each cylinder covers),    w in [-1, 1]
 
-where ``w`` > 0 is evidence of foreground and ``w`` < 0 of background, and a sample that several cylinders cover counts once.
-Foreground that goes on in the rim below a base or above a top is subtracted (:data:`occlib.explaining.cylinders.RIM_M`). Of a person,
-columns in which the head or the legs show no foreground are not covered there. But for these two terms it is, up to scale,
-the log-likelihood of a probabilistic occupancy map (Fleuret et al. 2008, doi:10.1109/TPAMI.2007.1174).
+where ``w`` > 0 is evidence of foreground and ``w`` < 0 of background, and a sample that several cylinders cover counts
+once. Foreground that goes on in the rim below a base or above a top is subtracted
+(:data:`occlib.explaining.cylinders.RIM_M`). Of a person, columns in which the head or the legs show no foreground are
+not covered there. But for these two terms it is, up to scale, the log-likelihood of a probabilistic occupancy map
+(Fleuret et al. 2008, doi:10.1109/TPAMI.2007.1174).
 
 With running sums of the weights down the columns, a cylinder is weighed in a few look-ups a column, whatever its size.
 """
@@ -86,7 +87,7 @@ def workspace(evidence: PolarEvidence) -> Workspace:
 
 @compiled
 def weigh_column(sums: Any, seen_sums: Any, k: int, column: int, run: Any) -> Any:
-    """:class:`_Column` of a cylinder's run in view ``k``. A head or legs without foreground are left out of a person."""
+    """:class:`_Column` of a cylinder's run in view ``k``. Of a person, a head or legs without foreground are left out."""
     low, high, above = run.low, run.high, run.above
     beyond = max(sums[k, run.below, column] - sums[k, high, column], 0)
     if sums[k, run.trunk, column] <= sums[k, low, column]:  # no head here
@@ -102,7 +103,7 @@ def weigh_column(sums: Any, seen_sums: Any, k: int, column: int, run: Any) -> An
 def gain(work: Any, sums: Any, cylinder: Any, cost: float) -> Any:
     """:class:`Gain` of a cylinder from the evidence of which ``sums`` are the running sums.
 
-    ``value`` is the cylinder's term of the objective: explained - beyond - cost * covered, each view's sample weighing its solid angle.
+    ``value`` is its term of the objective, ``explained - beyond - cost * covered``; samples weigh their solid angle.
     """
     total, area, square, share = 0.0, 0.0, 0.0, 0.0
     for k in range(len(work.views)):
@@ -144,7 +145,7 @@ def cover(work: Any, weights: Any, sums: Any, cylinder: Any, margin: float) -> N
 
 @compiled
 def cover_all(work: Any, weights: Any, sums: Any, cylinders: Any, count: int, left_out: int, margin: float) -> None:
-    """Fill ``weights`` and ``sums`` with the evidence that the first ``count`` cylinders, but for one, leave unexplained."""
+    """Fill ``weights`` and ``sums`` with what the first ``count`` cylinders, but for one, leave unexplained."""
     weights[:], sums[:] = work.weights, work.sums
     for j in range(count):
         if j != left_out:

@@ -1,12 +1,13 @@
 """Explaining away: the fewest upright objects of plausible size that explain all silhouettes (section 5, beyond AND).
 
-AND asks of each cell of the floor whether every view *could* have an object there. The shadows of n objects from two cameras
-then cross in up to n (n - 1) / 2 places where nothing stands. Here the question is turned round: which objects, put on the floor, would
-have cast the silhouettes that the cameras see? A ghost explains nothing that the real objects do not explain already, so it
-is never needed; an object that one view hides is, because the other view's silhouette would stay unexplained.
+AND asks of each cell of the floor whether every view *could* have an object there. The shadows of n objects from two
+cameras then cross in up to n (n - 1) / 2 places where nothing stands. Here the question is turned round: which objects,
+put on the floor, would have cast the silhouettes that the cameras see? A ghost explains nothing that the real objects
+do not explain already, so it is never needed; an object that one view hides is, because the other view's silhouette
+would stay unexplained.
 
-An object is an upright cylinder, and :mod:`occlib.explaining.objective` says what a set of them is worth. It is maximised as marked
-point processes are (Utasi and Benedek 2011, doi:10.1109/CVPR.2011.5995699), but greedily:
+An object is an upright cylinder, and :mod:`occlib.explaining.objective` says what a set of them is worth. It is
+maximised as marked point processes are (Utasi and Benedek 2011, doi:10.1109/CVPR.2011.5995699), but greedily:
 
 1. :func:`occlib.explaining.candidates.candidates` weighs every place and radius at the best of some heights;
 2. the best candidate is refined and added, again and again, as long as one pays for itself (``_fill_up``);
@@ -32,10 +33,11 @@ from occlib.explaining.evidence import PolarEvidence, view_at
 from occlib.explaining.objective import TINY, cover, cover_all, gain, objective, workspace
 
 COARSE_STEP_M, FINE_STEP_M, LEAST_STEP_M = 0.06, 0.03, 0.004
-"""First step of a refinement, in m: of a candidate (nearly the spacing of the places) and of a previous object; and the step below which it ends."""
+"""First step in m of refining a candidate (nearly the spacing of the places) or a previous object, and the step below
+which refining ends."""
 
 RADIUS_STEP, HEIGHT_STEP, MIN_HEIGHT_STEP = 0.5, 1.67, 0.33
-"""Steps of the radius and, per m of height, of the height, over those of the place; the height's is at least the last of these."""
+"""Steps of radius and height, over that of the place: of the height so much per m of height, but at least the last."""
 
 ROUNDS = 14
 """A refinement ends after so many rounds; with steps halved when nothing improves, it mostly ends before."""
@@ -47,10 +49,10 @@ RETRY = 1e-9
 """A candidate whose value fell by more than this, in samples, since it was last weighed goes back into the queue."""
 
 WELL_EXPLAINED, SPLIT_RADIUS_M = 0.8, 0.12
-"""A cylinder with a net share below the first and a radius in m above the second may stand for two objects side by side."""
+"""A cylinder of a net share below the first and a radius in m above the second may stand for two objects abreast."""
 
 REPLACED, REPLACEMENTS, REPLACEMENT_SPACING_M = 4, 6, 0.3
-"""So many cylinders at most are tried to be replaced, each by up to so many others, so far apart in m."""
+"""At most so many cylinders are replaced on trial, each by up to so many others, so far apart in m."""
 
 
 class ExplainSettings(NamedTuple):
@@ -73,11 +75,12 @@ class ExplainSettings(NamedTuple):
     fragment_margin_share
         The same share when fragments are judged.
     low_share
-        An object lower than this share of another's height is low beside it, 0 to 1.
+        An object lower than this share of another's height counts as low beside it, 0 to 1.
     beside_m, beside_share
-        And a fragment of it, within ``beside_m + beside_share * height``, in m, of its axis.
+        What is low within ``beside_m + beside_share * height``, in m, of a taller one's axis is a fragment.
     person_low_m, person_tall_m
-        Within this distance in m of a person's axis no object that is low beside it, or not, is an object of its own: people have arms, legs and bags.
+        Within ``person_low_m`` of a person's axis, in m, what is low beside it is part of the person, and within
+        ``person_tall_m`` all else is: arms, legs, bags.
     keep
         The previous objects stay unless a fresh search explains this share more.
     leftover_share
@@ -124,7 +127,7 @@ def _moved(cylinder: Any, field: int, by: float) -> Any:
 
 @compiled
 def _refined(work: Any, sums: Any, cylinder: Any, cost: float, step: float) -> Any:
-    """The cylinder moved and sized to where it explains most: coordinate ascent with steps of ``step`` m and ever smaller ones."""
+    """The cylinder moved and sized to where it explains most: coordinate ascent from ``step`` m to ever smaller steps."""
     best = gain(work, sums, cylinder, cost).value
     # the height has far optima: a person is cut at the belt, or goes on in one that stands behind
     for height in HEIGHTS if step > FINE_STEP_M else HEIGHTS[:0]:
@@ -204,7 +207,7 @@ def _is_low(cylinder: Any, other: Any, settings: Any) -> bool:
 def _fill_up(work: Any, tried: Any, values: Any, cylinders: Any, count: int, settings: Any) -> int:
     """Add the candidate that explains most of what is left, again and again; returns the new count.
 
-    ``values`` are what the candidates tried explained before. What they explain now is never more, so few are weighed anew.
+    ``values`` are what the candidates tried explained at first. Now they explain no more, so few are weighed anew.
     """
     weights, sums, bound = work.weights.copy(), work.sums.copy(), values.copy()
     cover_all(work, weights, sums, cylinders, count, -1, 0.0)
@@ -251,7 +254,7 @@ def _settle(work: Any, cylinders: Any, count: int, settings: Any, step: float) -
 
 @compiled
 def _continued(work: Any, places: Any, cylinders: Any, count: int, settings: Any) -> Any:
-    """The previous objects, refined, and others for what they leave: count, objective, and whether little foreground is left."""
+    """The previous objects, refined, and others for what they leave: count, objective, whether little is left over."""
     count = _settle(work, cylinders, count, settings, FINE_STEP_M)
     cover_all(work, work.left, work.left_sums, cylinders, count, -1, settings.margin_m)
     tried, values = candidates(work, work.left_sums, places, settings.cost)
@@ -358,8 +361,8 @@ def explain(
     Raises
     ------
     ValueError
-        Places of another shape or not finite, a previous cylinder whose place is not finite or whose size not positive, or
-        a setting that is negative or not finite.
+        Places of another shape or not finite, a previous cylinder whose place is not finite or whose size not positive,
+        or a setting that is negative or not finite.
 
     Examples
     --------

@@ -21,7 +21,7 @@ def test_every_size_that_is_tried_has_a_plausible_partner() -> None:
 
 @pytest.mark.parametrize(("seed", "share"), [(0, 0.5), (1, 0.2), (2, 0.05), (3, 0.0)])
 def test_the_candidates_are_those_of_the_plain_search(seed: int, share: float) -> None:
-    """Every height of every place and radius by ``gain``, from low to high until four in a row were worse than the best."""
+    """Every place and radius by ``gain``, at heights from low to high until four in a row were worse than the best."""
     here, rng = watch(THREE), np.random.default_rng(seed)
     noise = np.stack([cv2.GaussianBlur(rng.normal(size=seen.shape), (0, 0), 9) for seen in here.seen])
     work = workspace(here.evidence(np.where(noise > np.quantile(noise, 1 - share), 255, -150)))

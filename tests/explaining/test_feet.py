@@ -170,7 +170,7 @@ def test_a_place_right_below_a_camera_is_no_trouble() -> None:
 
 
 def test_the_mean_of_what_explains_nearly_as_much_is_nearer_than_the_best() -> None:
-    """Where the left camera sees nothing of something flat, a little farther and lower looks the same to the right one."""
+    """Where only the right camera sees something flat, a little farther and lower looks the same to it."""
     errors = []
     for seed in range(12):
         rng = np.random.default_rng(seed)

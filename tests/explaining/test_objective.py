@@ -26,7 +26,7 @@ from occlib.explaining.objective import cover, objective, workspace
 def counted(at: Watch, weights: Array, cylinder: Cylinder) -> tuple[Array, list[float]]:
     """The samples by which a cylinder is judged, and for each view the foreground right beyond its base and top.
 
-    All samples of its silhouette; of a person, columns of the head and of the legs only where they show more foreground.
+    All samples of its silhouette; of a person, head and legs only in columns that show more foreground there.
     """
     masks, beyond = np.zeros(at.seen.shape, bool), [0.0] * len(at.views)
     to_chin = cylinder._replace(height=CHIN * cylinder.height)

@@ -35,7 +35,7 @@ class Watch:
     rays: Array
 
     def evidence(self, weights: Array | None = None) -> PolarEvidence:
-        """Of these weights, whole numbers (K, rows, columns), where something is seen; without, nobody says anything."""
+        """Of these weights (K, rows, columns), where something is seen; without, no view says anything."""
         weights = np.zeros(self.seen.shape) if weights is None else weights * self.seen
         return PolarEvidence(np.array(self.views), self.sizes, weights.astype(np.int32), self.seen)
 
@@ -64,7 +64,7 @@ def station(view: PolarView) -> Array:
 
 
 def hit(origin: Array, rays: Array, cylinder: Cylinder) -> Array:
-    """Which rays meet an upright solid cylinder, top disc and all: t within its round wall and between floor and top."""
+    """Which rays meet an upright solid cylinder: some t lies within its round wall and between floor and top."""
     o = origin - [cylinder.x, cylinder.y, 0]
     a, b = (rays[..., :2] ** 2).sum(-1), rays[..., :2] @ o[:2]
     inside = b * b - a * (o[:2] @ o[:2] - cylinder.radius**2)
