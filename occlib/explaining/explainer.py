@@ -8,7 +8,7 @@ stand are looked for on planes above the floor; then the fewest cylinders that e
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import combinations
 
 import cv2
@@ -21,7 +21,7 @@ from occlib.explaining.cylinders import Cylinder
 from occlib.explaining.evidence import PolarEvidence, PolarWarp
 from occlib.explaining.feet import standing_points
 from occlib.explaining.hiding import occlusion_state
-from occlib.explaining.search import DEFAULT, Explanation, explain
+from occlib.explaining.search import DEFAULT, ExplainSettings, explain
 from occlib.finding import FloorViews, Found, Instant, hidden_in, visible_shares
 from occlib.foreground.background import Background
 from occlib.foreground.evidence import Evidence
@@ -68,7 +68,7 @@ class Explaining:
         An object is compared with the templates in a view that hides less than this fraction of it.
     """
 
-    search: Explanation = DEFAULT
+    search: ExplainSettings = DEFAULT
     step_px: float = 3.0
     planes_m: tuple[float, ...] = (0.0, 0.1, 0.3, 0.6, 1.0, 1.4)
     spare: int = 0
@@ -193,7 +193,7 @@ class Explainer:
         if not evidence:
             return []
         polar = self.polar(evidence) if polar is None else polar
-        return explain(polar, self.places(evidence), before=previous, how=self.settings.search)
+        return explain(polar, self.places(evidence), previous=previous, settings=self.settings.search)
 
 
 class ExplainingFinder:
@@ -237,7 +237,7 @@ class ExplainingFinder:
         cylinders = self.cylinders = self.explainer.explain(instant.evidence, self.cylinders, polar=polar)
         occupied = self.floor_views.fuse(instant.views, "and")
         points = standing_points(polar, cylinders).tolist()
-        standing = [replace(cylinder, x=x, y=y) for cylinder, (x, y) in zip(cylinders, points, strict=True)]
+        standing = [cylinder._replace(x=x, y=y) for cylinder, (x, y) in zip(cylinders, points, strict=True)]
         labels = footprints(standing, self._near(occupied, instant), floor)
         hidden, by = self._hidden(polar, instant)
         areas = np.bincount(labels.ravel(), minlength=len(cylinders) + 1)[1:] * floor.cell_area
@@ -324,7 +324,7 @@ def standing_places(
     return np.column_stack([floor.x[0] + (ix + 0.5) * floor.resolution, floor.y[0] + (iy + 0.5) * floor.resolution])
 
 
-def footprints(things: Sequence[Cylinder], occupied: Mask, floor: Floor) -> npt.NDArray[np.int32]:
+def footprints(cylinders: Sequence[Cylinder], occupied: Mask, floor: Floor) -> npt.NDArray[np.int32]:
     """The cells of each object: those under the cylinder, and evidence within a quarter radius + 5 cm of it.
 
     Returns
@@ -332,15 +332,15 @@ def footprints(things: Sequence[Cylinder], occupied: Mask, floor: Floor) -> npt.
     int32 (ny, nx): 0, or the object's index plus 1; a cell between two belongs to the nearer rim.
     """
     labels, nearest = np.zeros(floor.shape, np.int32), np.full(floor.shape, np.inf, np.float32)
-    for number, thing in enumerate(things, start=1):
-        spare = CLOSE_M + CLOSE_SHARE * thing.radius
-        reach = thing.radius + spare
-        low, high = floor.cells([[thing.x - reach, thing.y - reach], [thing.x + reach, thing.y + reach]])
+    for number, cylinder in enumerate(cylinders, start=1):
+        spare = CLOSE_M + CLOSE_SHARE * cylinder.radius
+        reach = cylinder.radius + spare
+        low, high = floor.cells([[cylinder.x - reach, cylinder.y - reach], [cylinder.x + reach, cylinder.y + reach]])
         (x0, y0), (x1, y1) = (np.clip(corner, 0, floor.shape[::-1]).astype(int) for corner in (low, high + 2))
         iy, ix = np.mgrid[y0:y1, x0:x1]
         x = floor.x[0] + (ix + 0.5) * floor.resolution
         y = floor.y[0] + (iy + 0.5) * floor.resolution
-        rim = (np.hypot(x - thing.x, y - thing.y) - thing.radius).astype(np.float32)
+        rim = (np.hypot(x - cylinder.x, y - cylinder.y) - cylinder.radius).astype(np.float32)
         mine = (rim < nearest[iy, ix]) & ((rim <= 0) | ((rim <= spare) & occupied[iy, ix]))
         nearest[iy[mine], ix[mine]] = rim[mine]
         labels[iy[mine], ix[mine]] = number
