@@ -13,8 +13,8 @@ from occlib.base.arrays import FloatArray, Image, Mask
 from occlib.geometry import Camera, Floor, apply_homography
 
 
-class _Warp:
-    """A look-up of a camera's images: what :class:`FloorWarp` and :class:`PolarWarp` do once they know the ``pixels``."""
+class ImageWarp:
+    """A look-up of a camera's images: what a subclass, such as :class:`FloorWarp`, does once it knows the ``pixels``."""
 
     camera: Camera
 
@@ -56,7 +56,7 @@ class _Warp:
 
 
 @dataclass(frozen=True)
-class FloorWarp(_Warp):
+class FloorWarp(ImageWarp):
     """Takes a camera's images to the floor map, or to a plane above it, lens distortion and homography in one look-up.
 
     Parameters

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -20,8 +20,8 @@ from typing import Any
 import numpy as np
 
 from occlib.base.arrays import FloatArray, Mask, as_points
-from occlib.explaining.explainer import MaskExplainer
-from occlib.explaining.search import DEFAULT, Explanation
+from occlib.explaining import Explainer, Explaining
+from occlib.foreground import Evidence
 from occlib.geometry import Rig
 from occlib.lab.crowds import places_m, truth_of
 from occlib.lab.ghosts import LEAST_AREA_M2, crossings, expected_crossings, ghost_regions
@@ -37,7 +37,7 @@ PLANES_M = (0.0, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3)
 
 
 EXPLAIN = ("explain", "explain, one spare")
-"""Rules that are no vote on cells: :class:`MaskExplainer`, the second with one view that may miss an object."""
+"""Rules that are no vote on cells: :class:`occlib.explaining.Explainer`, the second with one view that may miss an object."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ class Simulation:
     trust
         What a view's "yes" and "no" are worth as probabilities, for the rules that weigh evidence. A "yes" may be
         another object's shadow, so it is worth less than a "no".
-    how
+    settings
         For the rules ``"explain"`` and ``"explain, one spare"``: the latter looks also where one view sees nothing.
 
     Examples
@@ -66,7 +66,7 @@ class Simulation:
 
     rig: Rig
     trust: tuple[float, float] = (0.8, 0.1)
-    how: Explanation = DEFAULT
+    settings: Explaining = field(default_factory=Explaining)
 
     @cached_property
     def _scene(self) -> Scene:
@@ -82,8 +82,8 @@ class Simulation:
         return {n: [FloorWarp(c, self.rig.floor, z) for z in PLANES_M] for n, c in self.rig.cameras.items()}
 
     @cached_property
-    def _explainers(self) -> dict[str, MaskExplainer]:
-        return {name: MaskExplainer(self.rig, self.how, spare=spare) for spare, name in enumerate(EXPLAIN)}
+    def _explainers(self) -> dict[str, Explainer]:
+        return {name: Explainer(self.rig, replace(self.settings, spare=spare)) for spare, name in enumerate(EXPLAIN)}
 
     def silhouettes(self, crowd: Sequence[SceneObject]) -> dict[str, Mask]:
         """Each object's silhouette as if it were alone, ``{camera: bool (n, H, W)}``."""
@@ -126,7 +126,7 @@ class Simulation:
     def places(self, masks: Mapping[str, Mask], rule: str = "and") -> FloatArray:
         """Where a rule puts objects, (N, 2) in m: centroids of its regions, or the axes of ``"explain"``'s cylinders."""
         if rule in EXPLAIN:
-            return as_points([(c.x, c.y) for c in self._explainers[rule].explain(masks)])
+            return as_points([(c.x, c.y) for c in self._explainers[rule].explain(evidence_of(masks))])
         floor = self.rig.floor
         regions = find_regions(self.occupied(masks, rule), min_area=LEAST_AREA_M2 / floor.cell_area)[1]
         return as_points([region.centroid for region in regions]) * floor.resolution + (
@@ -219,6 +219,11 @@ def covered_share(
         for views, crowd in zip(masks, crowds, strict=True)
     ]
     return float(np.mean(np.concatenate(covered)))
+
+
+def evidence_of(masks: Mapping[str, Mask]) -> dict[str, Evidence]:
+    """Masks ``{camera: bool (H, W)}`` as evidence that is sure of every pixel."""
+    return {name: Evidence.of_mask(mask) for name, mask in masks.items()}
 
 
 def union(silhouettes: Mapping[str, Mask], kept: Mapping[str, Mask] | None = None) -> dict[str, Mask]:

@@ -4,10 +4,13 @@
 from occlib.live.bags import grid_message, save_bag
 from occlib.live.broadcast import Listener, Publisher, keygen
 from occlib.live.capture import Capture, Device, Paired, Player
+from occlib.live.drawing import MapPicture, draw_message
 from occlib.live.messages import Message, decode, encode
+from occlib.live.station import Feed, Published, live_feed, publish_maps, recorded_feed
 from occlib.live.topic import MapTopic
 
 __all__ = [
-    "Capture", "Device", "Listener", "MapTopic", "Message", "Paired", "Player", "Publisher", "decode", "encode",
-    "grid_message", "keygen", "save_bag",
+    "Capture", "Device", "Feed", "Listener", "MapPicture", "MapTopic", "Message", "Paired", "Player", "Published",
+    "Publisher", "decode", "draw_message", "encode", "grid_message", "keygen", "live_feed", "publish_maps",
+    "recorded_feed", "save_bag",
 ]

@@ -285,6 +285,8 @@ class Player:
     ----------
     dropped : dict of str to int
         For each camera the pictures that were skipped.
+    ended : dict of str to str
+        As in :class:`Capture`; always empty.
 
     Raises
     ------
@@ -297,7 +299,10 @@ class Player:
         if not (np.isfinite(self.rate) and self.rate >= 0):
             raise ValueError(f"rate: expected instants a second >= 0, got {rate}")
         self.recording, self.loop = recording, loop
-        self.dropped = dict.fromkeys(recording.rig.cameras, 0)
+        self.dropped, self.ended = dict.fromkeys(recording.rig.cameras, 0), dict[str, str]()
+
+    def close(self) -> None:
+        """Nothing to do; for who has either a player or a :class:`Capture`."""
 
     def __iter__(self) -> Iterator[Paired]:
         begun = due = back = None

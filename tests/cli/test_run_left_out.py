@@ -12,9 +12,10 @@ import pytest
 
 from helpers.commands import RESULTS, run, snapshot
 from helpers.damages import Damage, lost, paint, repeat
-from occlib.cli import _spans, main
+from occlib.cli import main
 from occlib.formats import load_objects
 from occlib.recordings import LAB, open_recording
+from occlib.running import frame_ranges
 
 LEFT_OUT: dict[str, tuple[Damage, dict[int, str], str]] = {
     "missing at the end": (lambda f: lost("right", 2, 4)(f), {2: "missing", 4: "missing"},
@@ -121,4 +122,4 @@ def test_four_cameras_one_missing_one_covered_one_frozen(tmp_path: Path, capsys:
     ],
 )
 def test_frames_as_ranges_of_those_that_were_run(some: Sequence[int], expected: str) -> None:
-    assert _spans(list(some), range(40, 100, 4)) == expected
+    assert frame_ranges(list(some), range(40, 100, 4)) == expected
