@@ -18,7 +18,10 @@ import cv2
 import numpy as np
 import pytest
 
+from occlib.foreground.background import Background
 from occlib.geometry import Camera, Floor, Rig
+from occlib.pipeline import backgrounds_of
+from occlib.recordings import open_recording
 
 pytest.register_assert_rewrite("helpers")
 collect_ignore_glob = ["bench_*.py"]  # scripts, without tests
@@ -30,9 +33,16 @@ SHARED = Path(__file__).parents[2] / "shared/data"
 SIZE, FLOOR_GREY = (160, 120), (170, 170, 170)
 
 
+ONCE = ("finished", "outcomes", "real_room", "scheduler")
+"""Fixtures that take seconds. Tests that share one run in the same process, so that it is made once."""
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """The slow tests first, so that no core waits for the last of them."""
     items.sort(key=lambda item: item.get_closest_marker("slow") is None)
+    for item in items:
+        for fixture in set(ONCE).intersection(getattr(item, "fixturenames", ())):
+            item.add_marker(pytest.mark.xdist_group(fixture))
 
 
 @dataclass(frozen=True)
@@ -142,6 +152,12 @@ def shared_data() -> Callable[[str], Path]:
         return SHARED / name
 
     return find
+
+
+@pytest.fixture(scope="session")
+def real_room(shared_data: Callable[[str], Path]) -> dict[str, Background]:
+    """The backgrounds of ``ufes-lab``, learned for each of its four cameras from frames that are never empty."""
+    return backgrounds_of(open_recording(shared_data("ufes-lab")))
 
 
 @pytest.fixture

@@ -56,6 +56,7 @@ class Simulation:
 
     Examples
     --------
+    >>> from occlib.lab import random_crowd, wall_rig
     >>> simulation = Simulation(wall_rig(2))
     >>> crowd = random_crowd(2, np.random.default_rng(1))
     >>> found = simulation.places(simulation.masks(crowd), "and")
