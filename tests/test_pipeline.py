@@ -243,7 +243,7 @@ def half_blind(tiny_rig: Rig, name: str, target: Sequence[float]) -> Camera:
     right = np.cross(forward, [0.0, 0.0, 1.0])
     right /= np.linalg.norm(right)
     rotation = np.stack([right, np.cross(forward, right), forward])
-    return Camera.from_pose(name, model.size, model.matrix, model.distortion, rotation, -rotation @ centre)
+    return Camera.from_pose(name, model.size, model.lens, rotation, -rotation @ centre)
 
 
 def grey_floor(rig: Rig) -> dict[str, Array]:

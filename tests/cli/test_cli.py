@@ -793,9 +793,9 @@ def test_calibrate_on_real_photographs(
         (["--pattern", "9x6x2"], "pattern: expected COLUMNSxROWS"),
         (["--pattern", "²x6"], "pattern: expected COLUMNSxROWS"),
         (["--pattern", "1x1"], "pattern: expected .* 3 or more each, got .1, 1"),
-        (["--square", "0"], "square: expected metres > 0, got 0"),
-        (["--square", "nan"], "square: expected metres > 0, got nan"),
-        (["--square", "1e308"], r"square: expected metres > 0.*, got 1e\+308"),
+        (["--square", "0"], r"square: expected metres from 1e-09 to 1e\+06, got 0"),
+        (["--square", "nan"], r"square: expected metres from 1e-09 to 1e\+06, got nan"),
+        (["--square", "1e308"], r"square: expected metres from 1e-09 to 1e\+06, got 1e\+308"),
     ],
 )
 def test_calibrate_says_what_is_wrong(
