@@ -118,7 +118,7 @@ def board_points(pattern: Pattern, square: float) -> FloatArray:
     [[0.0, 0.0], [0.5, 0.0], [1.0, 0.0], [0.0, 0.5]]
     """
     columns, rows = _checked_pattern(pattern)
-    checks.number("square", square, least=1e-9, most=1e6, unit="metres")
+    checks.number("square", square, least=1e-9, most=1e6, expected="metres > 0")
     grid = np.mgrid[:columns, :rows].T.reshape(-1, 2) * float(square)
     return np.column_stack([grid, np.zeros(len(grid))])
 

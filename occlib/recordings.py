@@ -292,7 +292,7 @@ def open_recording(path: str | Path, cameras: Sequence[str] | None = None) -> Re
             raise ValueError(f"{folder}: views of different length or names: {views}")
     said = [read_yaml(folder / "rig.yaml").get("fps"), *(source.fps for source in sources.values()), DEFAULT_FPS]
     rate = next(fps for fps in said if fps is not None)
-    fps = checks.number(f"{folder / 'rig.yaml'}: fps", rate, least=1e-6, most=1e6, unit="frames a second")
+    fps = checks.number(f"{folder / 'rig.yaml'}: fps", rate, least=1e-6, most=1e6, expected="frames a second > 0")
     return Recording(folder, rig, frames, fps, sources)
 
 

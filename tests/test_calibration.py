@@ -140,7 +140,7 @@ def test_wrong_images_and_marks() -> None:
         calibration.refine_corners(grey, [[10, 10]], window_px=0)
     with pytest.raises(ValueError, match="image: expected at least 15 px a side, got 9x9"):
         calibration.refine_corners(grey[:9, :9], [[3, 3]])
-    with pytest.raises(ValueError, match="square: expected metres from 1e-09 to 1e\\+06, got 0"):
+    with pytest.raises(ValueError, match="square: expected metres > 0, got 0"):
         calibration.board_points(PATTERN, 0)
 
 

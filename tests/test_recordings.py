@@ -235,9 +235,7 @@ def test_frames_per_second(tiny_recording: Path) -> None:
 @pytest.mark.parametrize("fps", [0, -1, "ten", float("nan"), float("inf"), [1], {}, True, 1e-300])
 def test_impossible_frames_per_second(tiny_recording: Path, fps: Any) -> None:
     change_rig(tiny_recording, fps=fps)
-    with pytest.raises(
-        ValueError, match=r"rig.yaml: fps: expected frames a second from .*, got " + re.escape(repr(fps))
-    ):
+    with pytest.raises(ValueError, match=r"rig.yaml: fps: expected frames a second > 0, got " + re.escape(repr(fps))):
         open_recording(tiny_recording)
 
 
@@ -346,7 +344,7 @@ def test_videos_read_in_order_and_in_rgb(tiny_recording: Path, suffix: str) -> N
     change_rig(tiny_recording, fps=5)
     assert open_recording(tiny_recording).fps == 5
     change_rig(tiny_recording, fps=0)
-    with pytest.raises(ValueError, match=r"fps: expected frames a second from 1e-06 to 1e\+06, got 0"):
+    with pytest.raises(ValueError, match="fps: expected frames a second > 0, got 0"):
         open_recording(tiny_recording)
 
 

@@ -26,6 +26,7 @@ def number(
     least: float | None = None,
     most: float | None = None,
     unit: str = "a number",
+    expected: str | None = None,
 ) -> float:
     """The value as a float, if it is a finite number within bounds.
 
@@ -39,6 +40,8 @@ def number(
         Bounds, or None: greater than ``above``, no less than ``least``, no greater than ``most``.
     unit
         What the number counts, for the message: ``metres``, ``px``, ``frames a second``.
+    expected
+        What the message says instead of unit and bounds, where these only keep out what nobody can mean.
 
     >>> number("radius_m", 2, above=0, unit="metres")
     2.0
@@ -47,7 +50,7 @@ def number(
     ValueError: radius_m: expected metres > 0, got -1
     """
     if not _is_number(value, Real) or not _within(float(value), above, least, most):
-        raise ValueError(f"{name}: expected {unit}{_bounds(above, least, most)}, got {shown(value)}")
+        raise ValueError(f"{name}: expected {expected or unit + _bounds(above, least, most)}, got {shown(value)}")
     return float(value)
 
 

@@ -43,6 +43,11 @@ def test_bounds_are_kept_and_said(bounds: dict[str, float], good: float, bad: fl
         checks.number("x", bad, **bounds, unit="metres")
 
 
+def test_a_message_may_say_less_than_the_bounds() -> None:
+    with pytest.raises(ValueError, match=r"^fps: expected frames a second > 0, got 1e\+300$"):
+        checks.number("fps", 1e300, least=1e-6, most=1e6, expected="frames a second > 0")
+
+
 def test_whole_numbers() -> None:
     assert type(checks.whole("n", np.int32(4), least=0, most=4)) is int
     for value in (4.0, 5, -1, "4"):

@@ -559,8 +559,8 @@ BAD_RECORDINGS: dict[str, tuple[Damage, str]] = {
     "rig too deep": (text("rig.yaml", "[" * 20_000), "rig.yaml: not valid YAML"),
     "rig with an impossible date": (text("rig.yaml", "a: 2001-99-99"), "rig.yaml: not valid YAML"),
     "no cameras": (rig(cameras={}), "rig.yaml: expected a mapping with 'units', 'floor' and 'cameras'"),
-    "fps negative": (rig(fps=-1), r"rig.yaml: fps: expected frames a second from 1e-06 to 1e\+06, got -1"),
-    "fps in words": (rig(fps="ten"), r"rig.yaml: fps: expected frames a second from 1e-06 to 1e\+06, got 'ten'"),
+    "fps negative": (rig(fps=-1), "rig.yaml: fps: expected frames a second > 0, got -1"),
+    "fps in words": (rig(fps="ten"), "rig.yaml: fps: expected frames a second > 0, got 'ten'"),
     "fps tiny": (rig(fps=1e-300), "rig.yaml: fps: expected"),
     "size of floats": (rig(size=[160.5, 120]), r"rig.yaml: cameras.left.size: expected \[width, height\] in px"),
     "size another": (
@@ -792,9 +792,9 @@ def test_calibrate_on_real_photographs(
         (["--pattern", "9x6x2"], "pattern: expected COLUMNSxROWS"),
         (["--pattern", "²x6"], "pattern: expected COLUMNSxROWS"),
         (["--pattern", "1x1"], "pattern: expected .* 3 or more each, got .1, 1"),
-        (["--square", "0"], r"square: expected metres from 1e-09 to 1e\+06, got 0"),
-        (["--square", "nan"], r"square: expected metres from 1e-09 to 1e\+06, got nan"),
-        (["--square", "1e308"], r"square: expected metres from 1e-09 to 1e\+06, got 1e\+308"),
+        (["--square", "0"], "square: expected metres > 0, got 0"),
+        (["--square", "nan"], "square: expected metres > 0, got nan"),
+        (["--square", "1e308"], r"square: expected metres > 0.*, got 1e\+308"),
     ],
 )
 def test_calibrate_says_what_is_wrong(
