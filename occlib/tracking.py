@@ -18,6 +18,7 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
+from occlib.base import checks
 from occlib.base.arrays import FloatArray
 
 Point: TypeAlias = tuple[float, float]
@@ -225,7 +226,7 @@ class Tracker:
         acceleration_mps2: float = 1.0,
     ) -> None:
         for name, value in (("gate_m", gate_m), ("position_noise_m", position_noise_m)):
-            _check(name, value, positive=True)
+            checks.number(name, value, above=0, unit="a finite number")
         self.gate_m, self.position_noise_m = gate_m, position_noise_m
         self.gate_growth_mps = _check("gate_growth_mps", gate_growth_mps)
         self.max_missed_s = _check("max_missed_s", max_missed_s)
@@ -372,7 +373,5 @@ class Tracker:
         return replace(vector, position_m=seen.position_m, hidden_in=seen.hidden_in, visible=seen.visible)
 
 
-def _check(name: str, value: float, *, positive: bool = False) -> float:
-    if not (math.isfinite(value) and (value > 0 if positive else value >= 0)):
-        raise ValueError(f"{name}: expected a finite number {'> 0' if positive else '>= 0'}, got {value}")
-    return value
+def _check(name: str, value: float) -> float:
+    return checks.number(name, value, least=0, unit="a finite number")

@@ -19,6 +19,7 @@ import numpy as np
 import numpy.typing as npt
 import yaml
 
+from occlib.base import checks
 from occlib.base.arrays import FloatArray, Image, Mask
 from occlib.base.files import encode_image, staged_folder, write_file
 from occlib.geometry import Camera, Rig
@@ -326,8 +327,7 @@ def scaled_camera(camera: Camera, scale: float) -> Camera:
     """The same view with fewer (or more) pixels."""
     if scale == 1:
         return camera
-    if not 0.02 <= scale <= 4:
-        raise ValueError(f"scale: expected a factor between 0.02 and 4, got {scale}")
+    checks.number("scale", scale, least=0.02, most=4, unit="a factor")
     size = (max(8, round(camera.size[0] * scale)), max(8, round(camera.size[1] * scale)))
     matrix = camera.matrix.copy()
     for axis in (0, 1):
