@@ -18,6 +18,7 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
+from occlib.base import checks
 from occlib.base.arrays import FloatArray
 
 Point: TypeAlias = tuple[float, float]
@@ -215,7 +216,10 @@ class TrackerSettings:
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
-            _check(name, value, positive=name in ("gate_m", "position_noise_m"))
+            positive = name in ("gate_m", "position_noise_m")
+            checks.number(
+                name, value, above=0 if positive else None, least=None if positive else 0, unit="a finite number"
+            )
 
 
 class Tracker:
@@ -396,8 +400,3 @@ class Tracker:
             hidden_in=seen.hidden_in,
             visible=seen.visible,
         )
-
-
-def _check(name: str, value: float, *, positive: bool = False) -> None:
-    if not (math.isfinite(value) and (value > 0 if positive else value >= 0)):
-        raise ValueError(f"{name}: expected a finite number {'> 0' if positive else '>= 0'}, got {value}")

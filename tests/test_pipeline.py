@@ -245,7 +245,7 @@ def half_blind(tiny_rig: Rig, name: str, target: Sequence[float]) -> Camera:
     right = np.cross(forward, [0.0, 0.0, 1.0])
     right /= np.linalg.norm(right)
     rotation = np.stack([right, np.cross(forward, right), forward])
-    return Camera.from_pose(name, model.size, model.matrix, model.distortion, rotation, -rotation @ centre)
+    return Camera.from_pose(name, model.size, model.lens, rotation, -rotation @ centre)
 
 
 def grey_floor(rig: Rig) -> dict[str, Array]:
@@ -359,7 +359,7 @@ def test_bad_settings_are_named(tiny_rig: Rig, draw: Draw) -> None:
         ({"threshold": "ostu"}, "threshold: expected otsu"),
         ({"threshold": -3.0}, "threshold: expected grey levels >= 0"),
         ({"threshold": "otsu", "smoothing_px": 4}, "size: expected an odd number of px"),
-        ({"rule": "and", "join_m": -0.1}, "join_m: expected m >= 0"),
+        ({"rule": "and", "join_m": -0.1}, "join_m: expected metres >= 0"),
     ):
         with pytest.raises(ValueError, match=message):
             Pipeline(tiny_rig, empty, settings_for(**change)).process(empty, 0.0)

@@ -33,12 +33,12 @@ def add_settings(command: CommandParser) -> None:
     )
 
     def complete() -> None:
+        from occlib.finding import region_rules
         from occlib.foreground import THRESHOLDS
-        from occlib.occlusion import RULES
         from occlib.pipeline import PROFILES
 
         profile.help = one_of(PROFILES, default="recommended")
-        rule.help = f"how views are joined: {one_of([*(name for name in RULES if name != 'planes'), 'explain'])}"
+        rule.help = f"how views are joined: {one_of([*region_rules(), 'explain'])}"
         level.help = f"{one_of(['evidence', *THRESHOLDS, 'noise'])} or grey levels"
 
     command.complete_help(complete)

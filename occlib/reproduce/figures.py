@@ -272,8 +272,7 @@ def view_points_m(camera: Camera, room: npt.ArrayLike, *, steps: int = 24) -> np
         Pixels along each side of the picture, border included.
     """
     u, v = (np.linspace(0, n - 1, steps) for n in camera.size)
-    ideal = camera.undistort_points(np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2))
-    rays = np.column_stack([ideal, np.ones(len(ideal))]) @ np.linalg.inv(camera.matrix).T @ camera.pose[0]
+    rays = camera.rays(np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2))
     rays = np.where(np.abs(rays) < 1e-12, 1e-12, rays)
     low, high = np.asarray(room, dtype=float).T
     distance = (np.where(rays > 0, high, low) - camera.centre_m) / rays  # to the wall ahead, axis by axis
