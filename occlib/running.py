@@ -91,7 +91,7 @@ def run_recording(
     map_mode
         One of :data:`occlib.mapping.MODES`.
     bag
-        Write all maps to a bag for ROS, ``map.mcap``, ``map`` or ``map.bag``: one of :data:`occlib.live.bags.FORMATS`.
+        Write all maps to a bag for ROS, ``map.mcap``, ``map`` or ``map.bag``: one of :data:`occlib.live.BAG_FORMATS`.
     note
         What the title of the overview ends with.
     progress

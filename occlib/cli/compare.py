@@ -43,9 +43,9 @@ def add(commands: Commands) -> None:
 def compare(args: argparse.Namespace) -> int:
     """Print what each measure found, and draw it."""
     check_png(args.out, "--out")
-    from occlib.study import compare_pictures
+    from occlib.study import compare_pictures, comparison_table
 
-    results, table = compare_pictures(
+    results = compare_pictures(
         args.image,
         args.template,
         args.methods,
@@ -56,6 +56,7 @@ def compare(args: argparse.Namespace) -> int:
         matchers=args.matchers or None,
         out=args.out,
     )
+    table = comparison_table(results)
     if args.json:
         rows = json.loads(table.to_json(orient="index"))
         for name, result in results.items():
