@@ -54,19 +54,17 @@ def test_a_command_is_one_module_and_its_name(
     assert capsys.readouterr().out == "7 m\n"
 
 
-def test_help_imports_nothing_slow_and_costs_little() -> None:
+def test_help_imports_nothing_slow() -> None:
     code = (
-        "import sys, time\n"
+        "import sys\n"
         "from occlib.cli import main\n"
         "try:\n    main(['--help'])\n"
         "except SystemExit:\n    pass\n"
         "slow = [n for n in ('numpy', 'cv2', 'numba', 'pandas', 'matplotlib', 'scipy', 'zmq') if n in sys.modules]\n"
-        "print(slow, time.process_time(), file=sys.stderr)\n"
+        "print(slow, file=sys.stderr)\n"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    slow, seconds = done.stderr.rsplit(maxsplit=1)
-    assert slow == "[]"
-    assert float(seconds) < 0.3
+    assert done.stderr == "[]\n"
     assert done.stdout.startswith("usage: occlib ")
 
 
