@@ -26,7 +26,7 @@ import yaml
 from scipy.ndimage import distance_transform_edt
 
 from occlib.base.arrays import FloatArray, Mask, as_points
-from occlib.base.files import read_yaml
+from occlib.formats.rig import CameraEntry, RigFile, load_rig, rig_file
 
 
 def apply_homography(homography: npt.ArrayLike, points: npt.ArrayLike) -> FloatArray:
@@ -320,25 +320,22 @@ class Rig:
     @classmethod
     def load(cls, path: str | Path) -> Rig:
         """Read ``rig.yaml``; ``ValueError`` with the file's name and the field that is wrong."""
-        content = read_yaml(path)
+        content = load_rig(path)
         try:
-            return cls.from_dict(content)
+            return cls.of(content)
         except ValueError as error:
             raise ValueError(f"{path}: {error}") from None
 
     @classmethod
     def from_dict(cls, content: Any) -> Rig:
         """Build from the mapping that ``rig.yaml`` holds (see the contract in the README)."""
-        if not isinstance(content, dict) or not isinstance(content.get("cameras"), dict) or not content["cameras"]:
-            raise ValueError("expected a mapping with 'units', 'floor' and 'cameras'")
-        if content.get("units", "m") != "m":
-            raise ValueError(f"units: expected 'm', got {content['units']!r}")
-        area = content.get("floor")
-        if not isinstance(area, dict):
-            raise ValueError("floor: expected a mapping with 'x', 'y' and 'resolution'")
-        x, y = (tuple(_numbers(area.get(axis), (2,), f"floor.{axis}").tolist()) for axis in "xy")
-        floor = Floor(x, y, float(_numbers(area.get("resolution"), (), "floor.resolution")))
-        return cls(floor, {str(name): _camera(str(name), fields) for name, fields in content["cameras"].items()})
+        return cls.of(rig_file(content))
+
+    @classmethod
+    def of(cls, content: RigFile) -> Rig:
+        """Build from the checked content of ``rig.yaml``."""
+        floor = Floor(content.floor.x, content.floor.y, content.floor.resolution)
+        return cls(floor, {name: _camera(name, entry) for name, entry in content.cameras.items()})
 
     def to_dict(self) -> dict[str, Any]:
         """The mapping that :meth:`from_dict` reads."""
@@ -361,39 +358,15 @@ class Rig:
         return yaml.safe_dump(self.to_dict(), sort_keys=False, default_flow_style=None)
 
 
-def _numbers(value: Any, shape: tuple[int, ...], name: str) -> FloatArray:
-    try:
-        array = np.asarray(value, dtype=np.float64)
-    except (TypeError, ValueError, OverflowError):
-        array = np.array(np.nan)
-    if array.shape != shape or not np.isfinite(array).all():
-        what = f"{'x'.join(map(str, shape))} finite numbers" if shape else "a finite number"
-        raise ValueError(f"{name}: expected {what}, got {str(value)[:60]}")
-    return array
-
-
-def _camera(name: str, fields: Any) -> Camera:
-    if not isinstance(fields, dict):
-        raise ValueError(f"cameras.{name}: expected a mapping")
-    where = f"cameras.{name}"
-    width, height = _numbers(fields.get("size"), (2,), f"{where}.size")
-    if min(width, height) < 1 or max(width, height) > 100_000 or width != int(width) or height != int(height):
-        raise ValueError(f"{where}.size: expected [width, height] in px, got {str(fields['size'])[:60]}")
-    size = (int(width), int(height))
-    matrix = _numbers(fields.get("matrix"), (3, 3), f"{where}.matrix")
-    fx, fy, bottom = matrix[0, 0], matrix[1, 1], matrix[2]
-    if min(fx, fy) < 1e-3 or np.abs(matrix).max() > 1e9 or matrix[0, 1] or matrix[1, 0] or bottom.tolist() != [0, 0, 1]:
-        raise ValueError(
-            f"{where}.matrix: expected [[fx, 0, cx], [0, fy, cy], [0, 0, 1]] in px with fx, fy > 0, got {matrix.tolist()}"
-        )
-    distortion = _numbers(fields.get("distortion", [0.0] * 5), (5,), f"{where}.distortion")
-    if "floor_homography" in fields:
-        homography = _numbers(fields["floor_homography"], (3, 3), f"{where}.floor_homography")
-        invert_homography(homography, f"{where}.floor_homography")
+def _camera(name: str, entry: CameraEntry) -> Camera:
+    size = (int(entry.size[0]), int(entry.size[1]))
+    matrix, distortion = np.array(entry.matrix), np.array(entry.distortion)
+    if entry.floor_homography is not None:
+        homography = np.array(entry.floor_homography)
+        invert_homography(homography, f"cameras.{name}.floor_homography")
         return Camera(name, size, matrix, distortion, homography)
-    rotation = _numbers(fields.get("rotation"), (3, 3), f"{where}.rotation")
-    translation = _numbers(fields.get("translation"), (3,), f"{where}.translation")
-    return Camera.from_pose(name, size, matrix, distortion, rotation, translation)
+    assert entry.rotation is not None and entry.translation is not None  # CameraEntry has one or the other
+    return Camera.from_pose(name, size, matrix, distortion, entry.rotation, entry.translation)
 
 
 def look_at(position: Iterable[float], target: Iterable[float]) -> FloatArray:

@@ -26,7 +26,7 @@ from scipy import ndimage
 from scipy.optimize import linear_sum_assignment
 
 from occlib.base.arrays import FloatArray, Mask, as_points
-from occlib.formats import _check_hidden_fraction, _detected_things, _region, _things, _truth_frames
+from occlib.formats.truth import _check_hidden_fraction, _detected_things, _region, _things, _truth_frames
 from occlib.geometry import Floor
 
 Detections: TypeAlias = Mapping[int, Any]  # frame -> (N, 2) array in m, or a list of {"x", "y", "id"?, "hidden_in"?}

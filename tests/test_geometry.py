@@ -353,7 +353,7 @@ NAN, INF = float("nan"), float("inf")
         (damage("floor", "y", to=[0, NAN]), "floor.y: expected 2 finite numbers"),
         (damage("floor", "resolution"), "floor.resolution: expected a finite number, got None"),
         (damage("floor", "resolution", to=[0.1]), "floor.resolution: expected a finite number"),
-        (damage("floor", "resolution", to="fine"), "floor.resolution: expected a finite number, got fine"),
+        (damage("floor", "resolution", to="fine"), "floor.resolution: expected a finite number, got 'fine'"),
         (damage(*LEFT, to="left"), "cameras.left: expected a mapping"),
         (damage(*LEFT, "size"), "cameras.left.size: expected 2 finite numbers, got None"),
         (damage(*LEFT, "size", to=[160.5, 120]), r"cameras.left.size: expected \[width, height\] in px, got \[160.5"),
