@@ -195,7 +195,7 @@ def run(args: argparse.Namespace) -> int:
     frames = list(recording.frames) if args.frames is None else parse_frames(args.frames, recording.frames)
     settings = settings_for(args.profile, rule=args.rule, threshold=_threshold(args.threshold))
     truth = recording.path / "truth.json"
-    known = {int(k): things for k, things in load_truth(truth)["frames"].items()} if truth.exists() else {}
+    known = load_truth(truth).frames if truth.exists() else {}
     if recording.without_background:
         print(
             f"no background/ for {', '.join(recording.without_background)}: learned from the frames; what never moves is not found"

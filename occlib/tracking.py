@@ -53,6 +53,8 @@ class Observation:
         Names of the cameras in which something hides it.
     visible
         The share of it that each camera sees, 0 to 1, where that is known.
+    size_m2
+        Actual size by the look-up table of scale factors in m2; ``None`` where no table is used.
     """
 
     position_m: Point
@@ -61,6 +63,7 @@ class Observation:
     label: str | None = None
     hidden_in: tuple[str, ...] = ()
     visible: Mapping[str, float] = field(default_factory=dict)
+    size_m2: float | None = None
 
 
 @dataclass(frozen=True)
@@ -90,6 +93,8 @@ class ObjectVector:
     spread
         Variance of the filtered position in m2, its covariance with the velocity in m2/s, and the velocity's variance in m2/s2; the
         same for x and y.
+    size_m2
+        Actual size by the look-up table of scale factors in m2, as measured last; ``None`` where no table is used.
     """
 
     id: int
@@ -102,6 +107,17 @@ class ObjectVector:
     age: int = 1
     visible: Mapping[str, float] = field(default_factory=dict)
     spread: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    size_m2: float | None = None
+
+    @property
+    def x(self) -> float:
+        """First coordinate of the position in m."""
+        return self.position_m[0]
+
+    @property
+    def y(self) -> float:
+        """Second coordinate of the position in m."""
+        return self.position_m[1]
 
     @property
     def covariance(self) -> FloatArray:
@@ -115,7 +131,7 @@ class ObjectVector:
         >>> ObjectVector(1, (0.5, 1.0), (0.1, 0.0), 0.04, (200, 30, 30), hidden_in=("cam2",)).to_dict()
         ... # doctest: +NORMALIZE_WHITESPACE
         {'id': 1, 'x': 0.5, 'y': 1.0, 'vx': 0.1, 'vy': 0.0, 'area': 0.04, 'colour': [200, 30, 30],
-         'label': None, 'hidden_in': ['cam2']}
+         'label': None, 'hidden_in': ['cam2'], 'size': None}
         """
         (x, y), (vx, vy) = self.position_m, self.velocity_mps
         numbers = {"x": x, "y": y, "vx": vx, "vy": vy, "area": self.area_m2}
@@ -125,6 +141,7 @@ class ObjectVector:
             "colour": [int(c) for c in self.colour],
             "label": self.label,
             "hidden_in": list(self.hidden_in),
+            "size": None if self.size_m2 is None else round(float(self.size_m2), 4),
         }
 
 
@@ -140,13 +157,29 @@ class Event(NamedTuple):
 class _Track:
     """Kalman state of one object. x and y share one covariance, so it is three plain floats."""
 
-    __slots__ = ("area", "born", "colour", "id", "label", "pp", "pv", "since", "time", "vv", "vx", "vy", "x", "y")
+    __slots__ = (
+        "area",
+        "born",
+        "colour",
+        "id",
+        "label",
+        "pp",
+        "pv",
+        "since",
+        "size",
+        "time",
+        "vv",
+        "vx",
+        "vy",
+        "x",
+        "y",
+    )
 
     def __init__(self, seen: Observation, time: float, frame: int, noise_m: float) -> None:
         self.id, self.born, self.since, self.area = 0, frame, time, seen.area_m2
         (self.x, self.y), self.vx, self.vy = seen.position_m, 0.0, 0.0
         self.pp, self.pv, self.vv = noise_m**2, 0.0, _BIRTH_SPEED**2
-        self.time, self.colour, self.label = time, seen.colour, seen.label
+        self.time, self.colour, self.label, self.size = time, seen.colour, seen.label, seen.size_m2
 
     def predict(self, time: float) -> Point:
         """Position in m at ``time`` if the velocity stays; the state is left as it is."""
@@ -168,6 +201,7 @@ class _Track:
         self.vx, self.vy = self.vx + gain_v * (zx - x), self.vy + gain_v * (zy - y)
         self.pp, self.pv, self.vv = (1 - gain_p) * pp, (1 - gain_p) * pv, vv - gain_v * pv
         self.time, self.colour, self.label, self.area = time, seen.colour, seen.label or self.label, seen.area_m2
+        self.size = seen.size_m2
 
 
 class Tracker:
@@ -366,6 +400,7 @@ class Tracker:
             label=track.label,
             age=self._frame - track.born + 1,
             spread=track.spread(time, self.acceleration_mps2),
+            size_m2=track.size,
         )
         if seen is None:
             return vector

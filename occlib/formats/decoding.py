@@ -27,6 +27,15 @@ Metres: TypeAlias = Annotated[float, Meta(ge=-LARGEST, le=LARGEST, description="
 Finite: TypeAlias = Annotated[float, Meta(ge=-sys.float_info.max, le=sys.float_info.max)]
 """Neither NaN nor infinite. It has no description: what it is part of says what was expected."""
 
+AsWritten: TypeAlias = (
+    Annotated[int, Meta(ge=-int(LARGEST), le=int(LARGEST))] | Annotated[float, Meta(ge=-LARGEST, le=LARGEST)]
+)
+"""A finite number that stays whole if it is written so: what is made of it and written again looks the same."""
+
+Count: TypeAlias = Annotated[int, Meta(ge=0, description="a whole number >= 0")]
+RGB: TypeAlias = Annotated[
+    tuple[AsWritten, AsWritten, AsWritten], Meta(description="[r, g, b], 3 finite numbers from 0 to 255")
+]
 Name: TypeAlias = Annotated[str | int | float, Meta(description="a name or number")]
 Polygon: TypeAlias = Annotated[
     tuple[tuple[Finite, Finite], ...], Meta(min_length=3, description="three or more finite points [x, y]")
@@ -49,6 +58,11 @@ def parse_json(text: bytes, where: str) -> Any:
         raise ValueError(f"{where}: not UTF-8 text") from None
     except (ValueError, RecursionError) as error:  # ValueError: also a number of over 4300 digits
         raise ValueError(f"{where}: not valid JSON ({str(error).splitlines()[0]})") from None
+
+
+def given(entry: Any) -> Any:
+    """A mapping without the fields that are null: they are as good as left out. Anything else as it is."""
+    return {key: value for key, value in entry.items() if value is not None} if isinstance(entry, Mapping) else entry
 
 
 def short(value: Any) -> str:
@@ -88,20 +102,20 @@ def convert(value: Any, kind: type[T], where: str = "", *, inside: str | None = 
     try:
         return msgspec.convert(value, kind, strict=strict)
     except (msgspec.ValidationError, UnicodeEncodeError):
-        plain = _plain(value)
-    fault = _fault(plain, kind, where, where if inside is None else inside, strict)
+        value = plain(value)
+    fault = _fault(value, kind, where, where if inside is None else inside, strict)
     if fault is None:
-        return msgspec.convert(plain, kind, strict=strict)
+        return msgspec.convert(value, kind, strict=strict)
     raise ValueError(fault or f"{where or 'content'}: malformed, got {short(value)}")
 
 
-def _plain(value: Any) -> Any:
-    """The value without numpy's types."""
+def plain(value: Any) -> Any:
+    """The value as JSON has it: without tuples and numpy's types."""
     if isinstance(value, np.ndarray | np.generic):
         return value.tolist()
     if isinstance(value, Mapping):
-        return {key: _plain(item) for key, item in value.items()}
-    return [_plain(item) for item in value] if isinstance(value, list | tuple) else value
+        return {key: plain(item) for key, item in value.items()}
+    return [plain(item) for item in value] if isinstance(value, list | tuple) else value
 
 
 def _fault(value: Any, kind: Any, where: str, inside: str, strict: bool) -> str | None:
@@ -130,7 +144,9 @@ def _fault(value: Any, kind: Any, where: str, inside: str, strict: bool) -> str 
             break
     else:
         if isinstance(bare, type) and issubclass(bare, Struct) and isinstance(value, Mapping):
-            return f"{inside}.{reason}" if inside else reason  # what the structure itself says, with the field's name
+            if reason.startswith("expected"):  # what the structure itself says, of all of it or of a field
+                return _join(where, reason)
+            return f"{inside}.{reason}" if inside else reason
     return _join(where, f"expected {expected}, got {short(value)}") if expected else ""
 
 

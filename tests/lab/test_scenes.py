@@ -55,7 +55,7 @@ def test_a_rig_is_that_of_its_scene_and_sees_the_whole_floor(name):
     border = [[x, y] for x in np.linspace(*rig.floor.x, 21) for y in np.linspace(*rig.floor.y, 21)]
     for key, camera in rig.cameras.items():
         assert camera.inside(camera.floor_to_pixels(border)).all()
-        np.testing.assert_allclose(camera.centre_m, scene.room["cameras"][key]["position"], atol=1e-6)
+        np.testing.assert_allclose(camera.centre_m, scene.room.cameras[key].position, atol=1e-6)
         above = [[0.3, -0.2, 0.5], [-1.0, 1.0, 0.1]]
         np.testing.assert_allclose(camera.project(above), scene.rig[key].project(above), atol=1e-6)
 
