@@ -6,10 +6,13 @@ contract in the README.
 
 from __future__ import annotations
 
+import hashlib
 import os
 import re
+import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +20,7 @@ import cv2
 import numpy as np
 
 from occlib.base.arrays import Image
-from occlib.base.files import read_image, read_yaml, write_file
+from occlib.base.files import file_hash, read_image, read_yaml, write_file
 from occlib.geometry import Rig
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg")
@@ -26,10 +29,34 @@ IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg")
 VIDEO_SUFFIXES = (".mp4", ".avi")
 
 
-DATA = Path(__file__).resolve().parent.parent / "data"
+PACKAGED = Path(str(resources.files("occlib") / "data"))
+"""What comes with the package: the catalogue of public recordings and, in a wheel, what was made for them."""
+
+
+def data_folder() -> Path:
+    """The folder ``data/`` of the repository, which holds the recordings that ship; without a repository, ``PACKAGED``.
+
+    The repository is the one that the package stands in, else the one in or above the current folder: a copy of the
+    package finds it from there. ``OCCLIB_DATA`` goes before both.
+    """
+    if folder := os.environ.get("OCCLIB_DATA"):
+        return Path(folder).resolve()
+    try:
+        here = Path.cwd()
+    except OSError:  # it was removed
+        here = PACKAGED
+    folders = (place / "data" for place in (PACKAGED.parents[1], here, *here.parents))
+    return next((folder for folder in folders if (folder / "lab" / "manifest.json").is_file()), PACKAGED)
+
+
+DATA = data_folder()
 
 
 LAB = DATA / "lab"
+
+
+FETCH_TIMEOUT_S = 30.0
+"""A server that says nothing for so long is given up."""
 
 
 DEFAULT_FPS = 10.0
@@ -147,8 +174,7 @@ def open_recording(path: str | Path, cameras: Sequence[str] | None = None) -> Re
     if folder is None:
         if str(path) in public_recordings():
             raise ValueError(f"{path}: not fetched yet; first: occlib data fetch {path}")
-        known = ", ".join(sorted(p.parent.name for p in LAB.glob("*/rig.yaml")))
-        raise ValueError(f"{path}: no such recording folder (data/lab has {known})")
+        raise ValueError(f"{path}: no such recording folder ({lab_recordings()})")
     rig = Rig.load(folder / "rig.yaml").select(cameras)
     sources: dict[str, Path | tuple[Path | None, ...]] = {}
     numbers: dict[str, tuple[int, ...]] = {}
@@ -181,6 +207,16 @@ def open_recording(path: str | Path, cameras: Sequence[str] | None = None) -> Re
     if not isinstance(fps, int | float) or isinstance(fps, bool) or not 1e-6 < fps < 1e6:
         raise ValueError(f"{folder / 'rig.yaml'}: fps: expected frames a second > 0, got {repr(fps)[:40]}")
     return Recording(folder, rig, frames, float(fps), sources)
+
+
+def lab_recordings() -> str:
+    """For messages: which recordings ``data/lab`` has, or why there is none."""
+    if LAB.is_dir():
+        return f"data/lab has {', '.join(sorted(p.parent.name for p in LAB.glob('*/rig.yaml')))}"
+    return (
+        "data/lab ships with the repository, not with the package: run this in the repository's folder, or set "
+        "OCCLIB_DATA to its folder data"
+    )
 
 
 def parse_frames(text: str, frames: Sequence[int]) -> list[int]:
@@ -270,17 +306,21 @@ def _reader(source: Path | tuple[Path | None, ...], frames: Sequence[int], wante
 
 def cache_folder() -> Path:
     """Where fetched recordings are kept: ``OCCLIB_CACHE``, or the user's cache folder."""
-    import pooch
+    if folder := os.environ.get("OCCLIB_CACHE"):
+        return Path(folder)
+    if sys.platform == "win32":
+        return Path(os.environ.get("LOCALAPPDATA") or os.path.expanduser("~/AppData/Local"), "occlib/occlib/Cache")
+    if sys.platform == "darwin":
+        return Path(os.path.expanduser("~/Library/Caches/occlib"))
+    return Path(os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache"), "occlib")
 
-    return Path(os.environ.get("OCCLIB_CACHE") or pooch.os_cache("occlib"))
 
-
-def public_recordings(path: str | Path = DATA / "sources.yaml") -> dict[str, Any]:
+def public_recordings(path: str | Path = PACKAGED / "sources.yaml") -> dict[str, Any]:
     """The public recordings by name: ``about``, ``url`` and ``files`` with their checksums."""
     return dict(read_yaml(path))
 
 
-def fetch(name: str, *, catalogue: str | Path = DATA / "sources.yaml", progress: bool = False) -> Path:
+def fetch(name: str, *, catalogue: str | Path = PACKAGED / "sources.yaml", progress: bool = False) -> Path:
     """Download a public recording to the cache, unless it is there, and check every file's SHA-256.
 
     Calibration and truth that were made for a recording (``data/NAME``) are put beside its frames.
@@ -294,21 +334,35 @@ def fetch(name: str, *, catalogue: str | Path = DATA / "sources.yaml", progress:
     ValueError
         In one line: unknown name, no network, or a file whose checksum is wrong (it is not kept).
     """
-    import pooch
     from tqdm import tqdm
 
     known = public_recordings(catalogue)
     if name not in known:
         raise ValueError(f"{name}: not a public recording; there are {', '.join(known)}")
     source, folder = known[name], cache_folder() / name
-    pooch.get_logger().setLevel("ERROR")
     for target, file in tqdm(source["files"].items(), desc=name, unit="file", disable=not progress):
+        if file_hash(folder / target) == file["sha256"]:
+            continue
         try:
-            pooch.retrieve(
-                source["url"] + file["name"], "sha256:" + file["sha256"], Path(target).name, (folder / target).parent
-            )
-        except (OSError, ValueError) as error:
+            write_file(folder / target, _download(source["url"] + file["name"], file["sha256"]))
+        except ValueError as error:
             raise ValueError(f"{name}: cannot fetch {target} ({error})") from None
-    for extra in sorted((DATA / name).glob("*")):
+    made_for_it = next((place / name for place in (DATA, PACKAGED) if (place / name).is_dir()), DATA / name)
+    for extra in sorted(made_for_it.glob("*")):
         write_file(folder / extra.name, extra.read_bytes())
     return folder
+
+
+def _download(url: str, sha256: str) -> bytes:
+    """The content of a URL; ``ValueError`` if there is none, or another than the checksum says."""
+    from http.client import HTTPException
+    from urllib.request import urlopen
+
+    try:
+        with urlopen(url, timeout=FETCH_TIMEOUT_S) as response:
+            content = bytes(response.read())
+    except (OSError, HTTPException) as error:
+        raise ValueError(str(error)) from None
+    if (found := hashlib.sha256(content).hexdigest()) != sha256:
+        raise ValueError(f"its SHA-256 hash is {found}, expected {sha256}")
+    return content

@@ -24,7 +24,7 @@ from occlib.base.arrays import FloatArray
 from occlib.base.files import read_yaml
 from occlib.geometry import Camera, Floor, Rig, look_at, pixel_rays
 from occlib.lab.shapes import SHAPES, Part, rotation_xyz, unit_mesh
-from occlib.recordings import LAB
+from occlib.recordings import LAB, lab_recordings
 
 BOARD_PATTERN = (9, 6)  # inner corners
 
@@ -137,6 +137,8 @@ def load_scene(source: str | Path) -> Scene:
     path = Path(source)
     if not path.exists() and (LAB / str(source) / "scene.yaml").exists():
         path = LAB / str(source)
+    if not path.exists() and len(path.parts) == 1:
+        raise ValueError(f"{source}: no such scene ({lab_recordings()})")
     path = path / "scene.yaml" if path.is_dir() else path
     content = _mapping(path)
     try:
