@@ -20,7 +20,7 @@ import numpy.typing as npt
 import yaml
 
 from occlib.base.arrays import FloatArray, Image, Mask
-from occlib.base.extras import MissingExtraError, import_extra
+from occlib.base.extras import MissingExtraError, check_extra, import_extra
 from occlib.base.files import encode_image, staged_folder, write_file
 from occlib.geometry import Camera, Rig, pixel_rays
 from occlib.lab.scenes import BOARD_PATTERN, Board, Scene, floor_board
@@ -39,7 +39,8 @@ def load_mitsuba() -> Any:
                 if (found := llvm.parent / "x86_64-unknown-linux-gnu" / library).exists():
                     # Not RTLD_GLOBAL: libc++abi would take over the C++ exceptions of every other library.
                     ctypes.CDLL(str(found), mode=ctypes.RTLD_LOCAL)
-        drjit, mitsuba, _ = (import_extra(package, "render") for package in ("drjit", "mitsuba", "pyoidn"))
+        drjit, mitsuba = import_extra("drjit", "render"), import_extra("mitsuba", "render")
+        check_extra("pyoidn", "render")
         mitsuba.set_variant("llvm_ad_rgb")
         version = int(drjit.detail.llvm_version()[0])
         if not 19 <= version <= 22:  # older and newer ones abort the whole process on a real scene

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from zmq import auth
     from zmq.utils import z85
 else:
-    zmq, auth, z85 = (lazy_extra(module, "live") for module in ("zmq", "zmq.auth", "zmq.utils.z85"))
+    zmq, auth, z85 = lazy_extra("zmq", "live"), lazy_extra("zmq.auth", "live"), lazy_extra("zmq.utils.z85", "live")
 
 __all__ = ["Listener", "Message", "Publisher", "decode", "encode", "keygen"]
 

@@ -32,7 +32,7 @@ from functools import lru_cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, TypeAlias, TypeVar
 
-from occlib.base.extras import import_extra
+from occlib.base.extras import check_extra, import_extra
 from occlib.base.files import folder_hash, load_json, staged_folder, write_file
 from occlib.base.interrupts import stoppable, uninterrupted
 from occlib.reproduce.runner import PACKAGE
@@ -122,7 +122,8 @@ def run_batches(
         On Ctrl-C, SIGTERM or SIGHUP; its message says how to go on. No worker is left behind.
     """
     _check(batches, jobs, scheduler)
-    import_extra("joblib", "study")
+    for package in ("joblib", "pandas", "psutil", "threadpoolctl"):
+        check_extra(package, "study")
     expected = versions()
     with _locked(Path(out)), stoppable():
         store = _Store(Path(out), json.loads(json.dumps({"versions": expected, **(inputs or {})})))
