@@ -29,30 +29,27 @@ IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg")
 VIDEO_SUFFIXES = (".mp4", ".avi")
 
 
-PACKAGED = Path(str(resources.files("occlib") / "data"))
-"""What comes with the package: the catalogue of public recordings and, in a wheel, what was made for them."""
+DATA = Path(str(resources.files("occlib") / "data"))
+"""What comes with the package: the catalogue of public recordings, and the calibration and truth made for them."""
 
 
-def data_folder() -> Path:
-    """The folder ``data/`` of the repository, which holds the recordings that ship; without a repository, ``PACKAGED``.
+def lab_folder() -> Path:
+    """The folder ``data/lab`` of the repository: the recordings that ship with it, and not with the package.
 
-    The repository is the one that the package stands in, else the one in or above the current folder: a copy of the
-    package finds it from there. ``OCCLIB_DATA`` goes before both.
+    The repository is the one that the package stands in, else the one in or above the current folder: an installed
+    copy finds it from there. ``OCCLIB_LAB`` goes before both. Where there is none, the path leads nowhere.
     """
-    if folder := os.environ.get("OCCLIB_DATA"):
+    if folder := os.environ.get("OCCLIB_LAB"):
         return Path(folder).resolve()
     try:
         here = Path.cwd()
     except OSError:  # it was removed
-        here = PACKAGED
-    folders = (place / "data" for place in (PACKAGED.parents[1], here, *here.parents))
-    return next((folder for folder in folders if (folder / "lab" / "manifest.json").is_file()), PACKAGED)
+        here = DATA
+    folders = [place / "data" / "lab" for place in (DATA.parents[1], here, *here.parents)]
+    return next((folder for folder in folders if (folder / "manifest.json").is_file()), here / "data" / "lab")
 
 
-DATA = data_folder()
-
-
-LAB = DATA / "lab"
+LAB = lab_folder()
 
 
 FETCH_TIMEOUT_S = 30.0
@@ -215,7 +212,7 @@ def lab_recordings() -> str:
         return f"data/lab has {', '.join(sorted(p.parent.name for p in LAB.glob('*/rig.yaml')))}"
     return (
         "data/lab ships with the repository, not with the package: run this in the repository's folder, or set "
-        "OCCLIB_DATA to its folder data"
+        "OCCLIB_LAB to its folder data/lab"
     )
 
 
@@ -315,15 +312,15 @@ def cache_folder() -> Path:
     return Path(os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache"), "occlib")
 
 
-def public_recordings(path: str | Path = PACKAGED / "sources.yaml") -> dict[str, Any]:
+def public_recordings(path: str | Path = DATA / "sources.yaml") -> dict[str, Any]:
     """The public recordings by name: ``about``, ``url`` and ``files`` with their checksums."""
     return dict(read_yaml(path))
 
 
-def fetch(name: str, *, catalogue: str | Path = PACKAGED / "sources.yaml", progress: bool = False) -> Path:
+def fetch(name: str, *, catalogue: str | Path = DATA / "sources.yaml", progress: bool = False) -> Path:
     """Download a public recording to the cache, unless it is there, and check every file's SHA-256.
 
-    Calibration and truth that were made for a recording (``data/NAME``) are put beside its frames.
+    Calibration and truth that were made for a recording (``occlib/data/NAME``) are put beside its frames.
 
     Returns
     -------
@@ -347,8 +344,7 @@ def fetch(name: str, *, catalogue: str | Path = PACKAGED / "sources.yaml", progr
             write_file(folder / target, _download(source["url"] + file["name"], file["sha256"]))
         except ValueError as error:
             raise ValueError(f"{name}: cannot fetch {target} ({error})") from None
-    made_for_it = next((place / name for place in (DATA, PACKAGED) if (place / name).is_dir()), DATA / name)
-    for extra in sorted(made_for_it.glob("*")):
+    for extra in sorted((DATA / name).glob("*")):
         write_file(folder / extra.name, extra.read_bytes())
     return folder
 

@@ -23,7 +23,7 @@ from typing import Any
 from occlib.base.extras import import_extra
 from occlib.base.files import file_hash, folder_hash, load_json, write_file
 from occlib.base.interrupts import stoppable
-from occlib.recordings import DATA
+from occlib.recordings import LAB
 
 PACKAGE = Path(__file__).resolve().parents[1]
 
@@ -185,7 +185,7 @@ def _start(run: Run, work: Path) -> subprocess.Popen[bytes]:
     python_path = os.pathsep.join(filter(None, [str(PACKAGE.parent), os.environ.get("PYTHONPATH")]))
     environment = os.environ | dict.fromkeys(_ONE_THREAD, "1")
     environment |= {"OCCLIB_RUN_DIR": str(results), "PYTHONPATH": python_path, "PYTHONHASHSEED": "0"}
-    environment |= {"OCCLIB_DATA": str(DATA), "MPLBACKEND": "module://matplotlib_inline.backend_inline"}
+    environment |= {"OCCLIB_LAB": str(LAB), "MPLBACKEND": "module://matplotlib_inline.backend_inline"}
     own = {"MATPLOTLIBRC": "cwd/matplotlibrc", "JUPYTER_PATH": "jupyter", "JUPYTER_CONFIG_DIR": "config"}
     own |= {"JUPYTER_RUNTIME_DIR": "runtime", "IPYTHONDIR": "ipython"} | dict.fromkeys(("TMPDIR", "TMP", "TEMP"), ".")
     environment |= {name: str(work / path) for name, path in own.items()}
