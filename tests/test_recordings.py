@@ -657,7 +657,7 @@ def test_fetch_refuses_a_wrong_checksum(catalogue: Path, tmp_path: Path) -> None
 
 def test_fetch_of_a_file_that_the_server_lacks(catalogue: Path, tmp_path: Path) -> None:
     (tmp_path / "public/left.mp4").unlink()
-    with pytest.raises(ValueError, match=r"demo: cannot fetch frames/left.mp4 \(404"):
+    with pytest.raises(ValueError, match=r"demo: cannot fetch frames/left.mp4 \(HTTP Error 404"):
         fetch("demo", catalogue=catalogue)
     assert not [p for p in (tmp_path / "cache").rglob("*") if p.is_file()]
 

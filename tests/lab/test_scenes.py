@@ -45,7 +45,10 @@ def test_the_manifest_notices_changed_missing_and_new_files(tmp_path):
     (tmp_path / "missing").unlink()
     (tmp_path / "new").write_text("new")
     assert verify_manifest(tmp_path) == ["changed: changed", "missing: missing", "new: not in the manifest"]
-    assert "cannot be read" in verify_manifest(tmp_path / "nowhere")[0]
+    (tmp_path / "manifest.json").write_text("")
+    assert "cannot be read" in verify_manifest(tmp_path)[0]
+    with pytest.raises(ValueError, match=r"nowhere: no such folder \(data/lab has "):
+        verify_manifest(tmp_path / "nowhere")
 
 
 @pytest.mark.parametrize("name", RECORDINGS)
