@@ -15,6 +15,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 import numpy.typing as npt
 
+from occlib.base import checks
 from occlib.base.arrays import FloatArray, Image, Mask
 from occlib.foreground.background import Background
 from occlib.foreground.evidence import Evidence
@@ -64,7 +65,7 @@ class FloorViews:
         visible = [self.visible[name] for name in views]
         everywhere = all(seen.all() for seen in visible)
         fused = fuse(list(views.values()), rule, visible=None if everywhere else visible) > 0.5
-        return fused if rule == "or" else fused & (np.sum(visible, axis=0) >= self.needed)
+        return fused if RULES[rule].one_view_enough else fused & (np.sum(visible, axis=0) >= self.needed)
 
 
 @dataclass(frozen=True)
@@ -129,6 +130,11 @@ class Finder(Protocol):
         """The objects of the next instant."""
 
 
+def region_rules() -> list[str]:
+    """The fusion rules whose regions can be objects, by name: all that need no planes above the floor."""
+    return [name for name, rule in RULES.items() if not rule.planes]
+
+
 # --- objects as regions ------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class Regions:
@@ -161,13 +167,10 @@ class Regions:
     identify: IdentifierSettings | None = None
 
     def __post_init__(self) -> None:
-        known = [rule for rule in RULES if rule != "planes"]
-        if self.rule not in known:
-            raise ValueError(f"rule: expected one of {', '.join([*known, 'explain'])}, got {self.rule!r}")
-        if self.position not in ("centroid", "middle"):
-            raise ValueError(f"position: expected centroid or middle, got {self.position!r}")
-        if not self.join_m >= 0:
-            raise ValueError(f"join_m: expected m >= 0, got {self.join_m}")
+        if self.rule not in region_rules():
+            raise ValueError(f"rule: expected one of {', '.join([*region_rules(), 'explain'])}, got {self.rule!r}")
+        checks.choice("position", self.position, ("centroid", "middle"))
+        checks.number("join_m", self.join_m, least=0, unit="metres")
 
     def build(
         self, floor_views: FloorViews, backgrounds: Mapping[str, Background], templates: Mapping[str, Image]
@@ -220,7 +223,7 @@ class RegionFinder:
 
     def _fused(self, instant: Instant) -> Mask:
         rule = self.settings.rule
-        if rule not in ("product", "log-odds"):
+        if not RULES[rule].soft:
             return self.floor_views.fuse(instant.views, rule)
         odds = {n: instant.evidence[n].weights()[values] / 510 + 0.5 for n, values in instant.on_floor.items()}
         return self.floor_views.fuse(odds, rule)
@@ -233,7 +236,7 @@ class RegionFinder:
             occupied,
             min_area=smallest,
             join=round(settings.join_m / floor.resolution),
-            within=list(instant.views.values()) if settings.rule == "and" else (),
+            within=list(instant.views.values()) if RULES[settings.rule].unanimous else (),
         )
         if not (settings.core and regions):
             return labels, regions
@@ -267,9 +270,7 @@ class RegionFinder:
     ) -> Observation:
         floor = self.floor_views.floor
         cell = region.centroid if self.settings.position == "centroid" else region.middle
-        x, y = (
-            float(low + (c + 0.5) * floor.resolution) for low, c in zip((floor.x[0], floor.y[0]), cell, strict=True)
-        )
+        x, y = floor.points(cell).tolist()
         best = list(images)[int(np.nanargmin(hidden))]
         return Observation(
             position_m=(x, y),

@@ -1,7 +1,7 @@
 """Known objects in each view, and how big they are (sections 3 and 4; Fig 3).
 
-In the image that is left after background subtraction each known object's template is matched by SSD (Eq 2); the similarity
-image is thresholded, and each of its connected components gives one optimum. The object at an optimum is the region of the view's
+In the image that is left after background subtraction each known object's template is matched by SSD (Eq 2), wherever it can cover
+something that is left; the similarity image is thresholded, and each of its connected components gives one optimum. The object at an optimum is the region of the view's
 foreground there: its centroid (Eq 3, 4), its number of pixels *n*, and its actual size, *n* times the scale factor that the look-up
 table holds for the centroid.
 
@@ -22,7 +22,7 @@ What the paper leaves open, and what is done here:
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -148,8 +148,7 @@ def identify(
     candidates = [
         (match.score, number, match)
         for number, template in enumerate(templates)
-        if template.picture.shape[0] <= image.shape[0] and template.picture.shape[1] <= image.shape[1]
-        for match in _matches(image, template, settings)
+        for match in _matches(image, regions, template, settings)
     ]
     chosen: list[tuple[Template, Match, int]] = []
     for _, number, match in sorted(candidates, key=lambda candidate: candidate[:2]):
@@ -162,9 +161,21 @@ def identify(
     return list(_sightings(labels, regions, chosen, shared))
 
 
-def _matches(image: Image, template: Template, settings: IdentifierSettings) -> list[Match]:
+def _matches(image: Image, regions: Sequence[Region], template: Template, settings: IdentifierSettings) -> list[Match]:
+    """Matches where the template may cover a region: elsewhere nothing is left after subtraction."""
+    height, width = template.picture.shape
+    if not regions:
+        return []
+    boxes = np.array([region.box for region in regions])
+    reach = np.array([width, height])
+    left, top = np.maximum(boxes[:, :2].min(axis=0) - reach, 0)
+    right, bottom = (boxes[:, :2] + boxes[:, 2:]).max(axis=0) + reach
+    window = image[top:bottom, left:right]
+    if window.shape[0] < height or window.shape[1] < width:
+        return []
     limit = None if settings.limit == "default" else settings.limit
-    return find(image, template.picture, settings.method, limit, template.mask, rule=settings.optima)
+    found = find(window, template.picture, settings.method, limit, template.mask, rule=settings.optima)
+    return [replace(match, x=match.x + int(left), y=match.y + int(top)) for match in found]
 
 
 def _same_place(a: Match, b: Match) -> bool:

@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 import yaml
 
+from occlib.base import checks
 from occlib.base.arrays import FloatArray, Image, Mask
 from occlib.base.files import encode_image, read_image, read_yaml, write_file
 from occlib.geometry import Floor
@@ -95,8 +96,7 @@ def occupancy_map(occupied: Mask, visible: Mask, floor: Floor) -> OccupancyMap:
     array([[100,   0,  -1]], dtype=int8)
     """
     for name, mask in (("occupied", occupied), ("visible", visible)):
-        if mask.shape != floor.shape or mask.dtype != bool:
-            raise ValueError(f"{name}: expected bool {floor.shape}, got {mask.dtype} {mask.shape}")
+        checks.mask(name, mask, floor.shape)
     # Plain int8 arithmetic, ten times as fast as masked assignment: 101, 1 or 0, less one.
     claimed = occupied.view(np.int8) * np.int8(OCCUPIED - UNKNOWN)
     return OccupancyMap(np.maximum(claimed, visible.view(np.int8)) + np.int8(UNKNOWN), floor)
@@ -321,8 +321,7 @@ def _values(picture: Image, settings: _Settings) -> MapData:
 def _settings(fields: dict[str, Any]) -> _Settings:
     """Mode, resolution, thresholds and ``negate`` of a map description."""
     mode = fields.get("mode", "trinary")
-    if mode not in MODES:
-        raise ValueError(f"mode: expected one of {', '.join(MODES)}, got {mode!r}")
+    checks.choice("mode", mode, MODES)
     if fields.get("negate", 0) not in (0, 1):
         raise ValueError(f"negate: expected 0 or 1, got {fields['negate']!r}")
     resolution = _number(fields.get("resolution"), "resolution")
@@ -343,6 +342,4 @@ def _origin(value: Any) -> tuple[float, float]:
 
 
 def _number(value: Any, name: str) -> float:
-    if not isinstance(value, int | float) or isinstance(value, bool) or not -1e308 <= value <= 1e308:
-        raise ValueError(f"{name}: expected a finite number, got {value!r}")
-    return float(value)
+    return checks.number(name, value, unit="a finite number")

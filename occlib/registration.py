@@ -85,7 +85,7 @@ class FloorWarp(ImageWarp):
 
 def undistort(image: Image, camera: Camera) -> Image:
     """The image as a camera without lens distortion and with the same matrix would have taken it."""
-    return np.asarray(cv2.undistort(image, camera.matrix, camera.distortion))
+    return camera.lens.undistort_image(image)
 
 
 def view_homography(camera: Camera, floor: Floor) -> FloatArray:

@@ -6,6 +6,8 @@ that it lists has a say.
 
 from __future__ import annotations
 
+import inspect
+import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from typing import Any
@@ -118,6 +120,31 @@ def list_settings(settings: Settings) -> dict[str, Any]:
     0.2
     """
     return {".".join((path[0], path[-1])): value for path, value in _leaves(settings)}
+
+
+def setting_meanings(settings: Settings) -> dict[str, str]:
+    """What each setting of :func:`list_settings` means, in the words of its class's docstring.
+
+    >>> setting_meanings(settings_for("and"))["finder.min_area_m2"]
+    'Less evidence, in m2, is noise.'
+    """
+    meanings = {}
+    for path, _ in _leaves(settings):
+        owner: Any = settings
+        for name in path[:-1]:
+            owner = getattr(owner, name)
+        meanings[".".join((path[0], path[-1]))] = _described(type(owner)).get(path[-1], "")
+    return meanings
+
+
+def _described(kind: type) -> dict[str, str]:
+    """The parameters of a numpydoc docstring and their descriptions, each on one line."""
+    text = (inspect.getdoc(kind) or "").partition("Parameters\n----------\n")[2].partition("\n\n")[0]
+    found: dict[str, str] = {}
+    for names, body in re.findall(r"^(\w[\w, ]*)\n((?:    .*\n?)+)", text, flags=re.M):
+        plain = re.sub(r":\w+:`~?([^`]*)`|``([^`]*)``", r"\1\2", " ".join(body.split()))
+        found.update((name.strip(), plain) for name in names.split(","))
+    return found
 
 
 def _leaves(group: Any, path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any]]:

@@ -6,9 +6,9 @@ Files are written with OpenCV alone, so that a wrong channel order or layout in 
 
 from __future__ import annotations
 
-import builtins
 import json
 import signal
+import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,6 +20,7 @@ import pytest
 
 from occlib.foreground.background import Background
 from occlib.geometry import Camera, Floor, Rig
+from occlib.lens import Lens
 from occlib.pipeline import backgrounds_of
 from occlib.recordings import open_recording
 
@@ -77,7 +78,8 @@ def camera_at(name: str, centre: Sequence[float], target: Sequence[float]) -> Ca
     right /= np.linalg.norm(right)
     rotation = np.stack([right, np.cross(forward, right), forward])
     matrix = np.array([[105.0, 0, 80.5], [0, 104.0, 59.0], [0, 0, 1]])
-    return Camera.from_pose(name, SIZE, matrix, [-0.2, 0.04, 0.001, -0.001, 0.0], rotation, -rotation @ centre)
+    lens = Lens(matrix, np.array([-0.2, 0.04, 0.001, -0.001, 0.0]))
+    return Camera.from_pose(name, SIZE, lens, rotation, -rotation @ centre)
 
 
 @pytest.fixture(scope="session")
@@ -101,7 +103,7 @@ def draw(tiny_rig: Rig) -> Draw:
     """``draw(boxes) -> {camera: uint8 RGB}``: every pixel whose ray meets a box has its colour; later boxes on top."""
     xs, ys = np.meshgrid(np.arange(SIZE[0]), np.arange(SIZE[1]))
     pixels = np.column_stack([xs.ravel(), ys.ravel()])
-    rays = {name: camera.undistort_points(pixels) for name, camera in tiny_rig.cameras.items()}
+    rays = {name: camera.lens.undistort(pixels) for name, camera in tiny_rig.cameras.items()}
 
     def views(boxes: Sequence[Box]) -> dict[str, np.ndarray[Any, Any]]:
         images = {}
@@ -166,13 +168,8 @@ def hide_package(monkeypatch: pytest.MonkeyPatch) -> Callable[[str], None]:
     """``hide_package(name)``: from now on the package cannot be imported, as if it were not installed."""
 
     def hide(package: str) -> None:
-        real = builtins.__import__
-
-        def without(name: str, *args: Any, **options: Any) -> Any:
-            if name.startswith(package):
-                raise ImportError(name)
-            return real(name, *args, **options)
-
-        monkeypatch.setattr(builtins, "__import__", without)
+        loaded = [name for name in sys.modules if name.startswith(f"{package}.")]
+        for name in (package, *loaded):
+            monkeypatch.setitem(sys.modules, name, None)
 
     return hide

@@ -38,10 +38,11 @@ def build_parser() -> argparse.ArgumentParser:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command; 0 on success, else a one-line error on stderr and another number."""
-    args = build_parser().parse_args(arguments)
-    from occlib.base.interrupts import stoppable  # after the parser, so that help is printed at once
-
+    args = argparse.Namespace(command="")
     try:
+        args = build_parser().parse_args(arguments)
+        from occlib.base.interrupts import stoppable  # after the parser, so that help is printed at once
+
         with stoppable():
             status = int(args.function(args))
         sys.stdout.flush()

@@ -28,11 +28,11 @@ def add(commands: Commands) -> None:
     bag = p.add_argument("--bag", metavar="FORMAT", help="every frame's map as a bag, DIR/map")
 
     def complete() -> None:
-        from occlib.live.bags import FORMATS
+        from occlib.live import BAG_FORMATS
         from occlib.mapping import MODES
 
         mode.help = f"of map_server: {one_of(MODES, default='trinary')}"
-        bag.help = f"every frame's map as a bag, DIR/map: {one_of(FORMATS)}"
+        bag.help = f"every frame's map as a bag, DIR/map: {one_of(BAG_FORMATS)}"
 
     p.complete_help(complete)
 
@@ -40,7 +40,7 @@ def add(commands: Commands) -> None:
 def run(args: argparse.Namespace) -> int:
     """Run each recording; what is wrong with any of the arguments is found out before the work."""
     from occlib.identification import read_templates
-    from occlib.live.bags import check_format
+    from occlib.live import check_bag_format
     from occlib.mapping import MODES
     from occlib.recordings import open_recording, parse_frames
     from occlib.running import output_folders, run_recording
@@ -48,7 +48,7 @@ def run(args: argparse.Namespace) -> int:
     if args.map_mode not in MODES:
         raise ValueError(f"--map-mode: expected one of {', '.join(MODES)}, got {args.map_mode!r}")
     if args.bag is not None:
-        check_format(args.bag, name="--bag")
+        check_bag_format(args.bag, name="--bag")
     recordings = [open_recording(recording, args.cameras) for recording in args.recordings]
     folders = output_folders(recordings, args.out)
     frames = [None if args.frames is None else parse_frames(args.frames, each.frames) for each in recordings]

@@ -164,9 +164,7 @@ class PolarWarp(ImageWarp):
         """Azimuth of the floor's middle; azimuths relative to it and depressions that the picture spans, in rad."""
         width, height = self.camera.size
         u, v = np.meshgrid(np.linspace(0, width - 1, GRID[0]), np.linspace(0, height - 1, GRID[1]))
-        ideal = self.camera.undistort_points(np.column_stack([u.ravel(), v.ravel()]))
-        ideal = (ideal - self.camera.matrix[:2, 2]) / self.camera.matrix[[0, 1], [0, 1]]
-        rays = np.column_stack([ideal, np.ones(len(ideal))]) @ self.camera.pose[0]
+        rays = self.camera.rays(np.column_stack([u.ravel(), v.ravel()]))
         to_middle = np.array([np.mean(self.floor.x), np.mean(self.floor.y)]) - self.camera.centre_m[:2]
         middle = float(np.arctan2(to_middle[1], to_middle[0]))
         azimuth = (np.arctan2(rays[:, 1], rays[:, 0]) - middle + np.pi) % (2 * np.pi) - np.pi

@@ -321,7 +321,7 @@ def standing_places(
     votes = np.logical_and.reduce([~seen | (e > level) for e, seen in zip(evidence, visible, strict=True)])
     votes &= np.sum(visible, axis=0) >= views
     iy, ix = np.nonzero(votes.any(axis=0))
-    return np.column_stack([floor.x[0] + (ix + 0.5) * floor.resolution, floor.y[0] + (iy + 0.5) * floor.resolution])
+    return floor.points(np.column_stack([ix, iy]))
 
 
 def footprints(cylinders: Sequence[Cylinder], occupied: Mask, floor: Floor) -> npt.NDArray[np.int32]:
@@ -338,8 +338,7 @@ def footprints(cylinders: Sequence[Cylinder], occupied: Mask, floor: Floor) -> n
         low, high = floor.cells([[cylinder.x - reach, cylinder.y - reach], [cylinder.x + reach, cylinder.y + reach]])
         (x0, y0), (x1, y1) = (np.clip(corner, 0, floor.shape[::-1]).astype(int) for corner in (low, high + 2))
         iy, ix = np.mgrid[y0:y1, x0:x1]
-        x = floor.x[0] + (ix + 0.5) * floor.resolution
-        y = floor.y[0] + (iy + 0.5) * floor.resolution
+        x, y = np.moveaxis(floor.points(np.stack([ix, iy], axis=-1)), -1, 0)
         rim = (np.hypot(x - cylinder.x, y - cylinder.y) - cylinder.radius).astype(np.float32)
         mine = (rim < nearest[iy, ix]) & ((rim <= 0) | ((rim <= spare) & occupied[iy, ix]))
         nearest[iy[mine], ix[mine]] = rim[mine]

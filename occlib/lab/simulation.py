@@ -19,6 +19,7 @@ from typing import Any
 
 import numpy as np
 
+from occlib.base import checks
 from occlib.base.arrays import FloatArray, Mask, as_points
 from occlib.explaining import Explainer, Explaining
 from occlib.foreground import Evidence
@@ -71,7 +72,7 @@ class Simulation:
     @cached_property
     def _scene(self) -> Scene:
         """Holds the pixels' rays; the objects come later."""
-        return Scene("crowd", Path(), {}, self.rig, frames=1, background=0, seed=0, fps=10.0, objects=())
+        return Scene("crowd", Path(), None, self.rig, frames=1, background=0, seed=0, fps=10.0, objects=())
 
     @cached_property
     def _warps(self) -> dict[str, FloorWarp]:
@@ -108,13 +109,12 @@ class Simulation:
 
     def occupied(self, masks: Mapping[str, Mask], rule: str = "and") -> Mask:
         """The map of a rule of :func:`occlib.occlusion.fuse`, bool (ny, nx); two cameras (if there are two) must see a cell."""
-        if rule not in RULES:
-            raise ValueError(f"rule: expected one of {', '.join(RULES)}, got {rule!r}")
+        checks.choice("rule", rule, RULES)
         visible: list[Mask] = [self._warps[name].visible for name in masks]
-        if rule == "planes":
+        if RULES[rule].planes:
             views = [np.stack([plane.warp(mask) for plane in self._planes[name]]) for name, mask in masks.items()]
             fused = fuse(views, rule, visible=[np.stack([p.visible for p in self._planes[name]]) for name in masks])
-        elif rule in ("product", "log-odds"):
+        elif RULES[rule].soft:
             yes, no = self.trust
             fused = (
                 fuse([np.where(view, yes, no) for view in self.on_floor(masks).values()], rule, visible=visible) > 0.5
@@ -129,9 +129,7 @@ class Simulation:
             return as_points([(c.x, c.y) for c in self._explainers[rule].explain(evidence_of(masks))])
         floor = self.rig.floor
         regions = find_regions(self.occupied(masks, rule), min_area=LEAST_AREA_M2 / floor.cell_area)[1]
-        return as_points([region.centroid for region in regions]) * floor.resolution + (
-            np.array([floor.x[0], floor.y[0]]) + floor.resolution / 2
-        )
+        return floor.points([region.centroid for region in regions])
 
     def cost_ms(self, masks: Sequence[Mapping[str, Mask]], rule: str, *, repeats: int = 3) -> float:
         """Median time from the masks of an instant to the objects' places, in ms, after one run to warm up."""
@@ -237,8 +235,7 @@ def misses(cameras: Iterable[str], count: int, recall: float, rng: np.random.Gen
     >>> {name: kept.all() for name, kept in misses(["left"], 3, 1.0, np.random.default_rng(0)).items()}
     {'left': np.True_}
     """
-    if not 0 <= recall <= 1:
-        raise ValueError(f"recall: expected a probability, got {recall}")
+    checks.number("recall", recall, least=0, most=1, unit="a probability")
     return {name: np.asarray(rng.random(count) < recall) for name in cameras}
 
 
@@ -248,7 +245,7 @@ def votes_needed(rule: str, cameras: int, trust: tuple[float, float] = (0.8, 0.1
     >>> [votes_needed(rule, 4) for rule in ("and", "most", "product", "log-odds", "or")]
     [4, 3, 4, 3, 1]
     """
-    yes, no = trust if rule in ("product", "log-odds") else (1.0, 0.0)
+    yes, no = trust if RULES[rule].soft else (1.0, 0.0)
     for count in range(1, cameras + 1):
         if fuse([np.array([[yes if i < count else no]]) for i in range(cameras)], rule)[0, 0] > 0.5:
             return count

@@ -9,6 +9,8 @@ from __future__ import annotations
 from types import TracebackType
 from typing import Any
 
+from occlib.base import checks
+from occlib.base.extras import import_extra
 from occlib.live.bags import TYPE, grid_message
 from occlib.mapping import OccupancyMap
 
@@ -46,8 +48,7 @@ class MapTopic:
     """
 
     def __init__(self, domain: int = 0, *, topic: str = TOPIC) -> None:
-        if not isinstance(domain, int) or isinstance(domain, bool) or not 0 <= domain <= 232:
-            raise ValueError(f"domain: expected a ROS_DOMAIN_ID from 0 to 232, got {domain!r}")
+        checks.whole("domain", domain, least=0, most=232, unit="a ROS_DOMAIN_ID")
         self.domain, self.topic = domain, topic
         self._types = message_types()
         self._writer, self._participant = self._open()
@@ -99,12 +100,10 @@ def latched() -> Any:
 
 def message_types() -> dict[str, Any]:
     """The DDS types that make up ``nav_msgs/OccupancyGrid``, by their ROS names; their fields are those of ROS 2."""
-    try:
-        from cyclonedds.idl import make_idl_struct
-        from cyclonedds.idl.types import float32, float64, int8, int32, uint32
-        from cyclonedds.idl.types import sequence as sequence_type
-    except ImportError:
-        raise ValueError('the topic needs the package cyclonedds: pip install "occlib[ros2]"') from None
+    import_extra("cyclonedds.idl", "ros2")
+    from cyclonedds.idl import make_idl_struct
+    from cyclonedds.idl.types import float32, float64, int8, int32, uint32
+    from cyclonedds.idl.types import sequence as sequence_type
 
     sequence: Any = sequence_type  # for mypy: generic through its metaclass
     made: dict[str, Any] = {}

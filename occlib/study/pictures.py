@@ -5,13 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-import pandas as pd
-
 from occlib.base.files import read_image, write_file
 from occlib.foreground.intensity import to_grey
 from occlib.matching.search import Comparison, compare
 from occlib.plotting import figure_png
-from occlib.study.charts import comparison_figure, comparison_table
+from occlib.study.charts import comparison_figure
 from occlib.study.sweeps import load_matchers
 
 
@@ -26,8 +24,8 @@ def compare_pictures(
     colour: bool = False,
     matchers: str | Path | None = None,
     out: str | Path | None = None,
-) -> tuple[dict[str, Comparison], pd.DataFrame]:
-    """Look for a template in an image with each measure: what each found, and a table of it.
+) -> dict[str, Comparison]:
+    """Look for a template in an image with each measure, and draw what each found.
 
     Parameters
     ----------
@@ -46,7 +44,7 @@ def compare_pictures(
 
     Returns
     -------
-    ``{method: Comparison}``, and :func:`comparison_table` of it.
+    ``{method: Comparison}``, see :func:`occlib.study.comparison_table`.
 
     Raises
     ------
@@ -60,4 +58,4 @@ def compare_pictures(
     results = compare(scene, pattern, methods, threshold=threshold, mask=weights, rule=rule)
     if out is not None:
         write_file(out, figure_png(comparison_figure(scene, pattern, results)))
-    return results, comparison_table(results)
+    return results

@@ -15,6 +15,7 @@ from occlib.cli import build_parser, commands, main
 from occlib.cli.options import CommandParser, add_command
 from occlib.cli.settings import add_settings, settings_of
 from occlib.pipeline import PROFILES, settings_for
+from occlib.settings import list_settings
 
 SHARED = {"__init__", "__main__", "commands", "options", "settings"}
 
@@ -109,3 +110,23 @@ def test_settings_can_be_added_to_any_command() -> None:
     parser = CommandParser()
     add_settings(parser)
     assert settings_of(parser.parse_args(["--profile", "paper"])) == PROFILES["paper"]
+
+
+def test_settings_are_set_by_name_and_listed_with_their_meaning(capsys: pytest.CaptureFixture[str]) -> None:
+    parse = build_parser().parse_args
+    chosen = parse(["run", "x", "--out", "y", "--set", "finder.cost=0.2", "--set", "confirm_s=0"])
+    assert settings_of(chosen) == settings_for(**{"finder.cost": 0.2, "tracker.confirm_s": 0.0})
+    for wrong in ("finder.cost", "=2", "finder.cost=", "rule=and"):
+        with pytest.raises(ValueError, match=f"--set: expected NAME=VALUE, as in finder.cost=0.2, got '{wrong}'"):
+            settings_of(parse(["run", "x", "--out", "y", "--set", wrong]))
+    for profile in PROFILES:
+        with pytest.raises(SystemExit) as leave:
+            main(["run", "--profile", profile, "--help-settings"])
+        assert leave.value.code == 0
+        listed = capsys.readouterr().out
+        for name in list_settings(PROFILES[profile]):
+            assert f"\n{name}=" in listed
+        lines = listed.splitlines()
+        assert all(
+            lines[i + 1].startswith("    ") for i, line in enumerate(lines) if "=" in line and line[0] not in " p"
+        )

@@ -86,11 +86,10 @@ def test_four_cameras_one_missing_one_covered_one_frozen(tmp_path: Path, capsys:
         shutil.copyfile(LAB / "four_robots" / name, folder / name)
     recording = open_recording("four_robots")
     for name, source in recording.sources.items():
-        assert isinstance(source, tuple)
+        assert isinstance(source.files, tuple)
         (folder / "frames" / name).mkdir(parents=True)
         for frame in range(40, 46):
-            path = source[recording.frames.index(frame)]
-            assert path is not None
+            path = source.files[recording.frames.index(frame)]
             shutil.copyfile(path, folder / "frames" / name / f"{frame:04d}{path.suffix}")
     next((folder / "frames/front").glob("0043.*")).unlink()
     paint(folder, "back", [41, 44, 45], lambda image: np.full_like(image, (60, 130, 150)))

@@ -324,12 +324,6 @@ def test_wrong_arguments(
     assert not (tmp_path / "out").exists()
 
 
-def test_without_dask(tmp_path: Path, toys: Any, work: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "distributed", None)
-    with pytest.raises(ValueError, match=r'needs Dask: pip install "occlib\[dask\]"$'):
-        run_batches(toys(2), work, tmp_path, scheduler="tcp://127.0.0.1:1", progress=False)
-
-
 def test_a_cluster_without_workers(tmp_path: Path, toys: Any, work: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     distributed = pytest.importorskip("distributed")
     monkeypatch.setattr(sweeps, "PATIENCE_S", 1)
