@@ -35,7 +35,8 @@ SIZE, FLOOR_GREY = (160, 120), (170, 170, 170)
 
 
 ONCE = ("finished", "outcomes", "real_room", "scheduler")
-"""Fixtures that take seconds. Tests that share one run in the same process, so that it is made once."""
+"""Fixtures that take seconds. Tests that share one run in the same process, so that it is made once; so do those of the group
+``alone``, whose clocks, signals and ports should not meet."""
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

@@ -26,6 +26,8 @@ from occlib.matching import measures
 from occlib.study import sweeps
 from occlib.study.sweeps import load_matchers, run_batches
 
+pytestmark = pytest.mark.slow
+
 # Workers cannot import test files, but a run file travels by value: as a user's own matchers do.
 TOY = """
 import os, sys, time
