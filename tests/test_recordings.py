@@ -26,8 +26,8 @@ from hypothesis import strategies as st
 from occlib import recordings
 from occlib.base import files as files_module
 from occlib.base.files import encode_image, read_image, read_yaml, staged_folder, write_file, write_image
-from occlib.explaining.appearance import read_templates
 from occlib.geometry import Rig
+from occlib.identification import read_templates
 from occlib.recordings import Footage, check_size, fetch, input_format, open_recording, parse_frames
 
 Array = np.ndarray[Any, Any]
