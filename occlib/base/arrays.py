@@ -1,4 +1,4 @@
-"""DOC"""
+"""The array types of the signatures, and points in the one shape that the library works with."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ import numpy.typing as npt
 
 FloatArray = npt.NDArray[np.float64]
 
-
 Mask = npt.NDArray[np.bool_]
-
+"""True where there is foreground, or where something is occupied; never 0 and 255."""
 
 Image = npt.NDArray[Any]
+"""A picture, (H, W) or (H, W, 3) in RGB, uint8 unless a docstring says otherwise."""
 
 
 def as_points(points: npt.ArrayLike, *, dimensions: int = 2, name: str = "points") -> FloatArray:

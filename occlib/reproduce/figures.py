@@ -1,4 +1,4 @@
-"""DOC"""
+"""Drawings that the notebooks alone need: lamps and shadows, the room and its cameras, strips of frames, mask errors."""
 
 from __future__ import annotations
 

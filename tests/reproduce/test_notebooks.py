@@ -14,8 +14,8 @@ import pandas as pd
 import pytest
 
 from occlib.reproduce.notebook import keep_table, open_or_stop
-from occlib.reproduce.publish import _plan, reproduce
-from occlib.reproduce.runner import notebook_parameters, select_notebooks
+from occlib.reproduce.publish import reproduce
+from occlib.reproduce.runner import notebook_parameters, plan_runs, select_notebooks
 
 ROOT = Path(__file__).resolve().parents[2]
 NOTEBOOKS = select_notebooks(root=ROOT)
@@ -140,9 +140,9 @@ def test_with_the_recording_it_scores_and_publishes_nothing_of_it(
 def test_a_run_is_not_current_once_the_recording_is_fetched(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     cache = tmp_path / "cache"
     monkeypatch.setenv("OCCLIB_CACHE", str(cache))
-    (before,) = (run.inputs for run in _plan(ROOT, [REAL], {}))
+    (before,) = (run.inputs for run in plan_runs(ROOT, [REAL], {}))
     (cache / "ufes-lab").mkdir(parents=True)
-    (after,) = (run.inputs for run in _plan(ROOT, [REAL], {}))
+    (after,) = (run.inputs for run in plan_runs(ROOT, [REAL], {}))
     assert before["fetched"] == [] and after["fetched"] == ["ufes-lab"]
 
 
