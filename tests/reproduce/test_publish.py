@@ -380,7 +380,7 @@ def change_metric(project: Path, difference: float, column: int = 2) -> bytes:
 @pytest.mark.parametrize("difference", [1e-9, -0.0099])
 def test_metric_within_its_tolerance_stays(copy: Path, difference: float) -> None:
     committed = change_metric(copy, difference)
-    assert "nothing changed" in str(run(copy)) and "nothing changed" in str(run(copy, "01", force=True))
+    assert "nothing changed" in str(run(copy))
     assert (copy / "figures/metrics.csv").read_bytes() == committed
 
 
@@ -426,7 +426,7 @@ def move_a_dot(pixels: Any) -> None:
 @pytest.mark.parametrize("change", [lambda pixels: None, shade_an_edge, move_a_dot], ids=["bytes", "shades", "a dot"])
 def test_figure_that_looks_the_same_stays(copy: Path, change: Callable[[Any], None]) -> None:
     committed = repaint(copy, change)
-    assert "nothing changed" in str(run(copy)) and "nothing changed" in str(run(copy, "01", force=True))
+    assert "nothing changed" in str(run(copy))
     assert (copy / "figures/fig01.png").read_bytes() == committed
 
 
@@ -435,7 +435,8 @@ def another_digit(pixels: Any) -> None:
 
 
 def a_paler_panel(pixels: Any) -> None:
-    pixels[:50, :100, :3] = 250  # 2 % of the picture, 5 levels
+    panel = pixels[:50, :100, :3]  # 2 % of the picture
+    panel[panel == 255] = 250
 
 
 @pytest.mark.parametrize("change", [another_digit, a_paler_panel], ids=["digit", "colour"])
