@@ -172,11 +172,11 @@ def _publish(home: Path, runs: Sequence[Run]) -> list[str]:
     changed = {}
     for name, path in made.items():
         content, published = path.read_bytes(), figures / name
-        if not published.is_file() or published.read_bytes() != content:
-            if owners.get(name) != path.parent.name or not figure_agrees(
-                path, published
-            ):  # a run's folder: its notebook
-                changed[name] = content
+        if published.is_file() and published.read_bytes() == content:
+            continue
+        same_owner = owners.get(name) == path.parent.name  # a run's folder has its notebook's name
+        if not (same_owner and figure_agrees(path, published)):
+            changed[name] = content
     table, published = _table(home, runs).encode(), figures / "metrics.csv"
     if not published.is_file() or published.read_bytes() != table:
         changed["metrics.csv"] = table
