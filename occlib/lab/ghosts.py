@@ -13,7 +13,7 @@ from scipy.spatial import ConvexHull
 from occlib.base.arrays import FloatArray, Mask, as_points
 from occlib.geometry import Camera, Floor, Rig
 from occlib.lab.scenes import SceneObject
-from occlib.lab.shapes import hit_distance, unit_mesh
+from occlib.lab.shapes import hit_distance
 from occlib.localization import find_regions
 
 LEAST_AREA_M2 = 0.004
@@ -45,9 +45,7 @@ def shadow_outline_m(camera: Camera, thing: SceneObject) -> FloatArray:
 
     Raises ``ValueError`` if the object reaches up to the camera.
     """
-    points = np.vstack(
-        [unit_mesh(p.shape)[0] @ m[:3, :3].T + m[:3, 3] for p, m in zip(thing.parts, thing.matrices(0), strict=True)]
-    )
+    points = thing.vertices_m(0)
     x, y, high = camera.centre_m
     if points[:, 2].max() >= high:
         raise ValueError(f"thing: expected it below the camera at {high:.2f} m, got {points[:, 2].max():.2f} m")

@@ -71,22 +71,20 @@ class SceneObject:
         world[:2, 3] = x, y
         return [world @ part.matrix for part in self.parts]
 
+    def vertices_m(self, frame: float) -> FloatArray:
+        """Vertices of all its parts in the world, (N, 3) in m."""
+        parts = zip(self.parts, self.matrices(frame), strict=True)
+        return np.vstack([unit_mesh(part.shape)[0] @ m[:3, :3].T + m[:3, 3] for part, m in parts])
+
     def footprint(self, frame: float) -> FloatArray:
         """Vertical projection: convex polygon (N, 2) in m, anticlockwise."""
-        corners = [
-            unit_mesh(p.shape)[0] @ m[:3, :3].T + m[:3, 3]
-            for p, m in zip(self.parts, self.matrices(frame), strict=True)
-        ]
-        points = np.vstack(corners)[:, :2]
+        points = self.vertices_m(frame)[:, :2]
         return np.asarray(points[ConvexHull(points).vertices])
 
     @property
     def height(self) -> float:
         """Highest point in m."""
-        return max(
-            float((unit_mesh(p.shape)[0] @ m[:3, :3].T + m[:3, 3])[:, 2].max())
-            for p, m in zip(self.parts, self.matrices(0), strict=True)
-        )
+        return float(self.vertices_m(0)[:, 2].max())
 
 
 @dataclass(frozen=True)
