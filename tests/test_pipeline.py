@@ -16,7 +16,7 @@ import pytest
 
 from occlib import formats, metrics
 from occlib.explaining.appearance import _box
-from occlib.finding import HIDDEN, _confirmed_first
+from occlib.finding import HIDDEN, Regions, confirmed_only
 from occlib.foreground.background import Background
 from occlib.foreground.difference import smooth, subtract_background
 from occlib.foreground.threshold import otsu_threshold
@@ -27,6 +27,7 @@ from occlib.occlusion import fuse
 from occlib.pipeline import PROFILES, FrameResult, Pipeline, Settings, backgrounds_of, settings_for
 from occlib.recordings import LAB, open_recording
 from occlib.registration import FloorWarp
+from occlib.settings import list_settings
 from occlib.tracking import ObjectVector
 
 Array = np.ndarray[Any, Any]
@@ -138,7 +139,8 @@ def test_an_object_hidden_in_the_left_view_is_mapped_and_said_to_be_hidden(tiny_
 
 def test_a_ghost_between_two_objects_is_removed(tiny_rig: Rig, draw: Draw) -> None:
     boxes = [box(1.0, 1.5, height=0.69), box(3.0, 1.45, height=0.69, colour=(20, 20, 60))]
-    kept = Pipeline(tiny_rig, draw([]), replace(AND, remove_ghosts=False))
+    without_removal = replace(AND, finder=replace(AND.finder, remove_ghosts=False))
+    kept = Pipeline(tiny_rig, draw([]), without_removal)
     with_ghost = kept.process(draw(boxes), 0.0)
     assert len(with_ghost.objects) == 3
     ghost = positions(with_ghost)[1]
@@ -195,7 +197,7 @@ def test_the_recommended_profile_warps_the_difference_and_thresholds_it_on_the_f
     settings = settings_for(threshold=40.0)
     result = Pipeline(tiny_rig, empty, settings).process(images, 0.0)
     for name, camera in tiny_rig.cameras.items():
-        difference = smooth(subtract_background(images[name], Background(empty[name])), size=settings.smoothing_px)
+        difference = smooth(subtract_background(images[name], Background(empty[name])), size=5)
         warp = FloorWarp(camera, tiny_rig.floor)
         np.testing.assert_array_equal(result.views[name], warp.warp(difference) > 40)
         assert (result.views[name] != warp.warp(difference > 40)).any()  # not the same as warping the mask
@@ -211,7 +213,7 @@ def test_only_the_recommended_profile_sees_what_is_as_bright_as_the_floor(tiny_r
 def test_the_or_rule_claims_more_than_the_and_rule(tiny_rig: Rig, draw: Draw) -> None:
     images, empty = draw([box(2.0, 1.5)]), draw([])
     both = {
-        rule: Pipeline(tiny_rig, empty, settings_for(rule=rule, remove_ghosts=False)).process(images, 0.0)
+        rule: Pipeline(tiny_rig, empty, settings_for(rule=rule, **{"finder.remove_ghosts": False})).process(images, 0.0)
         for rule in ("and", "or")
     }
     assert both["or"].occupied[both["and"].occupied].all()
@@ -243,7 +245,7 @@ def half_blind(tiny_rig: Rig, name: str, target: Sequence[float]) -> Camera:
     right = np.cross(forward, [0.0, 0.0, 1.0])
     right /= np.linalg.norm(right)
     rotation = np.stack([right, np.cross(forward, right), forward])
-    return Camera.from_pose(name, model.size, model.matrix, model.distortion, rotation, -rotation @ centre)
+    return Camera.from_pose(name, model.size, model.lens, rotation, -rotation @ centre)
 
 
 def grey_floor(rig: Rig) -> dict[str, Array]:
@@ -351,13 +353,13 @@ def test_bad_settings_are_named(tiny_rig: Rig, draw: Draw) -> None:
     with pytest.raises(ValueError, match="profile: expected one of recommended, and, paper, got 'papre'"):
         settings_for("papre")
     with pytest.raises(ValueError, match="position: expected centroid or middle, got 'mean'"):
-        Pipeline(tiny_rig, empty, Settings(position="mean"))
+        Pipeline(tiny_rig, empty, Settings(finder=Regions(position="mean")))
     for change, message in (
         ({"rule": "xor"}, "rule: expected one of and, or"),
         ({"threshold": "ostu"}, "threshold: expected otsu"),
         ({"threshold": -3.0}, "threshold: expected grey levels >= 0"),
         ({"threshold": "otsu", "smoothing_px": 4}, "size: expected an odd number of px"),
-        ({"rule": "and", "join_m": -0.1}, "join: expected px >= 0"),
+        ({"rule": "and", "join_m": -0.1}, "join_m: expected metres >= 0"),
     ):
         with pytest.raises(ValueError, match=message):
             Pipeline(tiny_rig, empty, settings_for(**change)).process(empty, 0.0)
@@ -367,8 +369,11 @@ def test_settings_for_changes_what_is_given_and_nothing_else() -> None:
     assert settings_for() == PROFILES["recommended"] == Settings()
     assert settings_for("paper", rule=None, threshold=None) == PROFILES["paper"]
     changed = settings_for("paper", threshold=25.0)
-    assert changed == replace(PROFILES["paper"], threshold=25.0)
-    assert (PROFILES["paper"].threshold, PROFILES["paper"].position) == ("otsu", "centroid")
+    paper = PROFILES["paper"]
+    assert changed == replace(paper, foreground=replace(paper.foreground, threshold=25.0))
+    assert (
+        list_settings(paper)["foreground.threshold"] == "otsu" and list_settings(paper)["finder.position"] == "centroid"
+    )
 
 
 def test_backgrounds_come_from_the_empty_pictures_or_are_learned(tiny_recording: Path, draw: Draw) -> None:
@@ -551,11 +556,12 @@ UFES = {
 
 
 @pytest.mark.parametrize("cameras", UFES, ids="+".join)
-def test_ufes_lab_two_people_in_a_real_room(shared_data: Callable[[str], Path], cameras: tuple[str, ...]) -> None:
-    """About a minute each: the background is learned from frames that are never empty."""
+def test_ufes_lab_two_people_in_a_real_room(
+    shared_data: Callable[[str], Path], real_room: dict[str, Background], cameras: tuple[str, ...]
+) -> None:
     recording = open_recording(shared_data("ufes-lab"), cameras)
     truth = formats.load_truth(recording.path / "truth.json")
-    backgrounds, frames = backgrounds_of(recording), range(20, 149)
+    backgrounds, frames = {name: real_room[name] for name in cameras}, range(20, 149)
     pipelines = {
         name: Pipeline(recording.rig, backgrounds, settings_for(name)) for name in ("paper", "and", "recommended")
     }
@@ -617,7 +623,7 @@ def test_the_other_camera_carries_on_alone(tiny_rig: Rig, draw: Draw, settings: 
         assert list(result.views) == ["left"]
         assert all("right" not in thing.hidden_in for thing in result.objects)
         assert not (result.map.data == 0).any()  # what one view says is bare may be hidden from the other: unknown
-        if settings.rule == "explain":
+        if settings.finder.rule == "explain":
             agree(result, boxes, 0.15)  # the model of an upright body places it from one view
             assert set(np.unique(result.reason)) == {0, ONE_VIEW}
         else:  # AND of one view is its shadows: nothing is claimed
@@ -695,8 +701,12 @@ def test_cores_part_robots_whose_shadows_touch() -> None:
     backgrounds = backgrounds_of(recording)
     (_, images), *_ = recording.images([52])
     count = {
-        core: len(Pipeline(recording.rig, backgrounds, replace(AND, core=core)).process(images, 5.2).objects)
-        for core in (0.0, PROFILES["recommended"].core)
+        core: len(
+            Pipeline(recording.rig, backgrounds, settings_for("and", core=core, confirm_s=0.2))
+            .process(images, 5.2)
+            .objects
+        )
+        for core in (0.0, 1.5)
     }
     assert count == {0.0: 3, 1.5: 4}
     assert len(Pipeline(recording.rig, backgrounds).process(images, 5.2).objects) == 4  # no cores needed
@@ -710,7 +720,7 @@ def test_templates_name_the_robots_and_bring_their_ids_back() -> None:
     first = Pipeline(recording.rig, backgrounds)
     (_, images), *later = recording.images([0, *range(60, 64)])
     templates = {}
-    for thing, cylinder in zip(first.process(images, 0.0).objects, first._explainer.before, strict=True):
+    for thing, cylinder in zip(first.process(images, 0.0).objects, first.finder.cylinders, strict=True):
         camera = max(thing.visible, key=lambda name: thing.visible[name])
         left, top, right, bottom = _box(cylinder, recording.rig, camera)
         nearest = min(truth["0"], key=lambda t: math.dist(thing.position_m, (t["x"], t["y"])))
@@ -756,6 +766,6 @@ def test_what_is_new_is_unknown_until_it_is_confirmed(tiny_rig: Rig, draw: Draw)
 
 def test_confirmed_objects_are_numbered_without_the_candidates() -> None:
     objects = [ObjectVector(identity, (0.0, 0.0), (0.0, 0.0), 0.1, (0, 0, 0)) for identity in (0, 5, 0, 6)]
-    labels, candidates = _confirmed_first(np.array([[0, 1, 2, 3, 4]], np.int32), objects)
+    labels, candidates = confirmed_only(np.array([[0, 1, 2, 3, 4]], np.int32), objects)
     assert labels.tolist() == [[0, 0, 1, 0, 2]] and labels.dtype == np.int32
     assert candidates.tolist() == [[False, True, False, True, False]]

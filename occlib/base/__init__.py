@@ -1,6 +1,7 @@
-"""What has nothing to do with cameras: arrays, files, interrupts, intervals, compiled loops."""
+"""What has nothing to do with cameras: arrays, checks of arguments, files, interrupts, intervals, compiled loops."""
 # fmt: off
 
+from occlib.base import checks
 from occlib.base.arrays import FloatArray, Image, Mask, as_points
 from occlib.base.files import encode_image, file_hash, file_hashes, folder_hash, load_json, read_image, read_yaml
 from occlib.base.files import sha256, staged_folder, write_file
@@ -8,7 +9,7 @@ from occlib.base.interrupts import stoppable, uninterrupted
 from occlib.base.intervals import stratified_interval, t_interval, wilson_interval
 
 __all__ = [
-    "FloatArray", "Image", "Mask", "as_points", "encode_image", "file_hash", "file_hashes", "folder_hash", "load_json",
-    "read_image", "read_yaml", "sha256", "staged_folder", "stoppable", "stratified_interval", "t_interval",
+    "FloatArray", "Image", "Mask", "as_points", "checks", "encode_image", "file_hash", "file_hashes", "folder_hash",
+    "load_json", "read_image", "read_yaml", "sha256", "staged_folder", "stoppable", "stratified_interval", "t_interval",
     "uninterrupted", "wilson_interval", "write_file",
 ]

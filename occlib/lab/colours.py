@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from occlib.base.arrays import Image, Mask
-from occlib.explaining.appearance import axis_colours, colour_agreement
+from occlib.explaining import axis_colours, colour_agreement
 from occlib.geometry import Rig, apply_homography
 from occlib.lab.ghosts import LEAST_AREA_M2
 from occlib.lab.scenes import load_scene

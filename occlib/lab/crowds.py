@@ -11,6 +11,7 @@ from occlib.base.arrays import FloatArray, as_points
 from occlib.geometry import Camera, Floor, Rig, look_at
 from occlib.lab.scenes import SceneObject, Waypoint
 from occlib.lab.shapes import SHAPES, Part
+from occlib.lens import Lens
 
 BEARINGS = {
     "left": 180.0,
@@ -89,8 +90,8 @@ def _wall_camera(name: str, bearing: float, height: float, floor: Floor, size: t
     middle, half = (np.array(size) - 1) / 2, np.ptp(rays, axis=0) / 2
     focal = 0.97 * float(np.min(middle / half))
     centre = middle - focal * (rays.min(axis=0) + half)
-    matrix = [[focal, 0, centre[0]], [0, focal, centre[1]], [0, 0, 1]]
-    return Camera.from_pose(name, size, matrix, np.zeros(5), rotation, -rotation @ station)
+    matrix = np.array([[focal, 0, centre[0]], [0, focal, centre[1]], [0, 0, 1]])
+    return Camera.from_pose(name, size, Lens(matrix, np.zeros(5)), rotation, -rotation @ station)
 
 
 def upright(

@@ -19,9 +19,10 @@ import numpy as np
 import numpy.typing as npt
 import yaml
 
+from occlib.base import checks
 from occlib.base.arrays import FloatArray, Image, Mask
 from occlib.base.files import encode_image, staged_folder, write_file
-from occlib.geometry import Camera, Rig, pixel_rays
+from occlib.geometry import Camera, Rig
 from occlib.lab.scenes import BOARD_PATTERN, Board, Scene, floor_board
 from occlib.lab.shapes import Part, hit_distance, unit_mesh
 from occlib.lab.truth import depth_image, ground_truth
@@ -222,7 +223,8 @@ class Studio:
             steps = np.outer(np.arange(1, self.spp + 1), [0.7548776662466927, 0.5698402909980532])
             offsets = steps % 1
             offsets -= offsets.mean(axis=0)  # or the whole picture shifts by a fraction of a pixel
-            rays = np.stack([pixel_rays(self.cameras[name], tuple(o)) for o in offsets], axis=2)
+            camera = self.cameras[name]
+            rays = np.stack([camera.rays(camera.pixel_centres() + offset) for offset in offsets], axis=2)
             rays /= np.linalg.norm(rays, axis=3, keepdims=True)
             self._rays[name] = rays.reshape(-1, self.spp, 3).astype(np.float32)
         return self._rays[name]
@@ -325,15 +327,14 @@ def scaled_camera(camera: Camera, scale: float) -> Camera:
     """The same view with fewer (or more) pixels."""
     if scale == 1:
         return camera
-    if not 0.02 <= scale <= 4:
-        raise ValueError(f"scale: expected a factor between 0.02 and 4, got {scale}")
+    checks.number("scale", scale, least=0.02, most=4, unit="a factor")
     size = (max(8, round(camera.size[0] * scale)), max(8, round(camera.size[1] * scale)))
     matrix = camera.matrix.copy()
     for axis in (0, 1):
         matrix[axis] *= size[axis] / camera.size[axis]
         matrix[axis, 2] += (size[axis] / camera.size[axis] - 1) / 2  # pixel centres are at integers
     rotation, translation = camera.pose
-    return Camera.from_pose(camera.name, size, matrix, camera.distortion, rotation, translation)
+    return Camera.from_pose(camera.name, size, replace(camera.lens, matrix=matrix), rotation, translation)
 
 
 def render(

@@ -20,10 +20,12 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.spatial import ConvexHull
 
+from occlib.base import checks
 from occlib.base.arrays import FloatArray
 from occlib.base.files import read_yaml
-from occlib.geometry import Camera, Floor, Rig, look_at, pixel_rays
+from occlib.geometry import Camera, Floor, Rig, look_at
 from occlib.lab.shapes import SHAPES, Part, rotation_xyz, unit_mesh
+from occlib.lens import Lens
 from occlib.recordings import LAB
 
 BOARD_PATTERN = (9, 6)  # inner corners
@@ -124,7 +126,7 @@ class Scene:
     @cached_property
     def rays(self) -> dict[str, FloatArray]:
         """Directions (H, W, 3) through the pixel centres of each camera, in the world."""
-        return {name: pixel_rays(camera) for name, camera in self.rig.cameras.items()}
+        return {name: camera.rays() for name, camera in self.rig.cameras.items()}
 
 
 def load_scene(source: str | Path) -> Scene:
@@ -198,19 +200,12 @@ def _check(fields: Any, where: str, required: set[str], optional: set[str]) -> N
 
 
 def _count(value: Any, name: str) -> int:
-    if isinstance(value, bool) or not isinstance(value, int) or value < 0:
-        raise ValueError(f"{name}: expected a whole number >= 0, got {value!r}")
-    return value
+    return checks.whole(name, value, least=0)
 
 
 def _vector(value: Any, length: int, name: str) -> tuple[Any, ...]:
-    try:
-        array = np.asarray(value, dtype=float)
-    except (TypeError, ValueError):
-        array = np.array(np.nan)
-    if array.shape != (length,) or not np.isfinite(array).all():
-        raise ValueError(f"{name}: expected {length} finite numbers, got {str(value)[:60]}")
-    return tuple(value)
+    checks.numbers(name, value, (length,))
+    return tuple(value)  # the numbers as they are written: 1 is not 1.0 in files made from them
 
 
 def _part(fields: Any, where: str, colour: tuple[int, int, int]) -> Part:
@@ -268,8 +263,7 @@ def _rig(room: dict[str, Any], names: Any) -> Rig:
         cameras[name] = Camera.from_pose(
             name,
             tuple(fields["size"]),
-            [[fx, 0, cx], [0, fy, cy], [0, 0, 1]],
-            fields["distortion"],
+            Lens(np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]]), fields["distortion"]),
             rotation,
             -rotation @ np.asarray(fields["position"], float),
         )
@@ -281,8 +275,7 @@ def _board(fields: Any, index: int, rig: Rig) -> Board:
     where = f"boards[{index}]"
     _check(fields, where, {"camera", "square", "pixel", "distance", "turn"}, set())
     camera = rig[str(fields["camera"])]
-    ray = (camera.undistort_points([fields["pixel"]]) - camera.matrix[:2, 2]) / camera.matrix[[0, 1], [0, 1]]
-    direction = np.array([*ray[0], 1.0])
+    (direction,) = camera.lens.directions([fields["pixel"]])
     rotation, translation = camera.pose
     pose = np.eye(4)
     # The board's y axis points up in the picture, its z axis towards the camera: half a turn about x.

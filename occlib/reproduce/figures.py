@@ -69,14 +69,13 @@ def fill_hull(ax: Axes, points: npt.ArrayLike, **options: Any) -> FloatArray:
 
 def outline_cylinders(ax: Axes, warp: PolarWarp, things: Sequence[Cylinder], **options: Any) -> None:
     """Outline of each upright cylinder, with its number, in a camera's polar view."""
-    from occlib.explaining.cylinders import room_for_runs, silhouette
+    from occlib.explaining import silhouette
 
     rows, columns = warp.shape
-    runs = room_for_runs(columns)
     for number, thing in enumerate(things, start=1):
-        first, last = silhouette(warp.parameters, columns, rows, thing.x, thing.y, thing.radius, thing.height, runs)
-        if last > first:
-            x, (top, bottom) = np.arange(first, last), runs[: last - first, :2].T
+        first, top, bottom = silhouette(warp.parameters, columns, rows, thing)
+        if len(top):
+            x = np.arange(first, first + len(top))
             outline = np.column_stack([np.concatenate([x, x[::-1], x[:1]]), [*top, *bottom[::-1], top[0]]])
             ax.plot(*outline.T, **{"color": "white", "linewidth": 1.5, **options})
             ax.annotate(str(number), (x.mean(), top.min()), xytext=(0, 4), textcoords="offset points", ha="center",
@@ -273,8 +272,7 @@ def view_points_m(camera: Camera, room: npt.ArrayLike, *, steps: int = 24) -> np
         Pixels along each side of the picture, border included.
     """
     u, v = (np.linspace(0, n - 1, steps) for n in camera.size)
-    ideal = camera.undistort_points(np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2))
-    rays = np.column_stack([ideal, np.ones(len(ideal))]) @ np.linalg.inv(camera.matrix).T @ camera.pose[0]
+    rays = camera.rays(np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2))
     rays = np.where(np.abs(rays) < 1e-12, 1e-12, rays)
     low, high = np.asarray(room, dtype=float).T
     distance = (np.where(rays > 0, high, low) - camera.centre_m) / rays  # to the wall ahead, axis by axis

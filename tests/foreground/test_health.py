@@ -369,16 +369,15 @@ def test_nothing_is_wrong_in_a_scene_without_noise(tiny_recording: Path) -> None
     assert [monitor.check(images) for _, images in recording.images()] == [{}] * 5
 
 
-def test_a_real_room(shared_data: Callable[[str], Path]) -> None:
+def test_a_real_room(shared_data: Callable[[str], Path], real_room: dict[str, Background]) -> None:
     recording = open_recording(shared_data("ufes-lab"))
-    backgrounds = backgrounds_of(recording)
-    monitor, rng = CameraMonitor(backgrounds), np.random.default_rng(13)
+    monitor, rng = CameraMonitor(real_room), np.random.default_rng(13)
     for frame, images in recording.images():
         assert monitor.check(images) == {}, frame
         if frame == 100:
             busy = {name: image.copy() for name, image in images.items()}
     for name, image in busy.items():
-        one = CameraMonitor({name: backgrounds[name]})
+        one = CameraMonitor({name: real_room[name]})
         for gain, offset in ((0.6, -30), (0.6, 30), (1.5, -30), (1.5, 30)):
             assert one.check({name: lit(image, gain, offset)}) == {}, (name, gain, offset)
         for kind, cover in covers(image.shape, rng).items():
