@@ -282,7 +282,7 @@ def open_recording(path: str | Path, cameras: Sequence[str] | None = None) -> Re
     rig = Rig.load(folder / "rig.yaml").select(cameras)
     sources = {name: _footage_of(folder, name) for name in rig.cameras}
     if any(isinstance(source.files, Path) for source in sources.values()):  # in a video, the position is the number
-        sources = {n: replace(s, numbers=tuple(range(len(s.numbers))), named=False) for n, s in sources.items()}
+        sources = {n: replace(s, numbers=tuple(range(len(s.numbers)))) for n, s in sources.items()}
     named = all(source.named for source in sources.values())
     most = max(sources, key=lambda name: len(sources[name].numbers))
     frames = sources[most].numbers
