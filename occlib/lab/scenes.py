@@ -1,8 +1,8 @@
 """Rendered laboratory scenes with exact ground truth.
 
-A scene is two readable YAML files: ``room.yaml`` (room, light, cameras) and ``scene.yaml`` (objects and
-their paths). From these alone, with numpy, come the *truth* (positions, footprints, hidden fractions) and
-the ideal silhouettes; :mod:`occlib.lab.rendering` makes the pictures with Mitsuba 3. Both cast their rays through the same
+A scene is two readable YAML files: ``room.yaml`` (room, light, cameras) and ``scene.yaml`` (objects and their paths).
+From these alone, with numpy, come the *truth* (positions, footprints, hidden fractions) and the ideal silhouettes;
+:mod:`occlib.lab.rendering` makes the pictures with Mitsuba 3. Both cast their rays through the same
 :class:`~occlib.geometry.Camera`, lens distortion included, so pictures, truth and ``rig.yaml`` agree.
 
 Every shape is a unit box, ellipsoid or cylinder under an affine map, which makes a ray test one inverse

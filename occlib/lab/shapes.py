@@ -1,7 +1,8 @@
-"""Shapes of which objects are built. Each is a unit shape under an affine map: a ray test is one inverse map and one closed formula.
+"""Shapes of which objects are built, each a unit shape under an affine map.
 
-A shape is an entry of :data:`SHAPES`: its mesh and its ray test. All else follows from these two: footprints and shadows are the
-convex hull of the mesh's vertices, silhouettes and truth come from rays, pictures from the mesh.
+A shape is an entry of :data:`SHAPES`: its mesh and its ray test. All else follows from these two: footprints and
+shadows are the convex hull of the mesh's vertices, silhouettes and truth come from rays, pictures from the mesh. A ray
+test takes the ray back to the unit shape, where it is one closed formula.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ RINGS = 47
 """Rings of vertices from pole to pole of an ellipsoid's mesh."""
 
 Span = tuple[FloatArray, FloatArray]
-"""Where each ray enters and leaves a shape, each (N,), in units of its direction; NaN, or leaving before entering, is a miss."""
+"""Where rays enter and leave a shape, each (N,), in units of their directions; near > far, or NaN, is a miss."""
 
 
 @dataclass(frozen=True)
@@ -32,7 +33,8 @@ class Shape:
     mesh
         Gives its vertices (N, 3) and triangles (M, 3), indices of vertices, anticlockwise as seen from outside.
     span
-        From the origin (3,) and the directions (N, 3) of rays in the shape's own frame, gives their :data:`Span`. It may divide by 0.
+        From the origin (3,) and the directions (N, 3) of rays in the shape's own frame, gives their :data:`Span`. It
+        may divide by 0.
     """
 
     mesh: Callable[[], tuple[FloatArray, FloatArray]]
@@ -99,7 +101,7 @@ def _ellipsoid_mesh() -> tuple[FloatArray, FloatArray]:
 
 
 def revolved_mesh(rings: Sequence[tuple[float, float]]) -> tuple[FloatArray, FloatArray]:
-    """Mesh of a shape that is round about z: for each ring its width, 0 to 1, and its z, from the lowest to the highest."""
+    """Mesh of a shape that is round about z: for each ring its width, 0 to 1, and its z, from bottom to top."""
     angle = np.arange(AROUND) * 2 * np.pi / AROUND
     circle = np.column_stack([np.cos(angle), np.sin(angle)]) / 2
     vertices = np.vstack(
@@ -128,7 +130,7 @@ def _between_planes(origin: FloatArray, directions: FloatArray, axes: Sequence[i
 
 
 def _in_sphere(origin: FloatArray, directions: FloatArray) -> Span:
-    """Within 0.5 of the middle: the roots of |o + t d|^2 = 1/4, NaN where the ray misses. With (x, y) alone, a cylinder's mantle."""
+    """Within 0.5 of the middle: the roots of |o + t d|^2 = 1/4; with x and y alone, within 0.5 of the z axis."""
     a, b, c = (directions**2).sum(1), directions @ origin, origin @ origin - 0.25
     root = np.sqrt(b * b - a * c)
     return (-b - root) / a, (-b + root) / a

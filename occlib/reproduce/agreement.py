@@ -1,8 +1,9 @@
 """When a fresh result agrees with the published one, which is then left as it is.
 
-Another machine, or another version of a library, gives other last digits, and the edges of lines another shade. That is no change,
-and git should not show one: a metric keeps its row in ``metrics.csv``, and a figure its bytes, unless they differ by more than this.
-With a processor's vector instructions switched off, as on another machine, 3 of 33 figures changed, by at most 2 grey levels.
+Another machine, or another version of a library, gives other last digits, and the edges of lines another shade. That is
+no change, and git should not show one: a metric keeps its row in ``metrics.csv``, and a figure its bytes, unless they
+differ by more than this. With a processor's vector instructions switched off, as on another machine, 3 of 33 figures
+changed, by at most 2 grey levels.
 """
 
 from __future__ import annotations
@@ -19,12 +20,12 @@ SHADE_LEVELS = 16
 """Grey levels of 255 by which a pixel may differ: what rounding does to the edge of a line, and nobody sees."""
 
 SHADE_MEAN_LEVELS = 0.02
-"""Grey levels by which the whole picture may differ on average (0.001 was measured). Five levels in a hundredth of the picture, such
-as an area whose colour was changed on purpose, make 0.04."""
+"""Grey levels by which the whole picture may differ on average (0.001 was measured). Five levels in a hundredth of the
+picture, such as an area whose colour was changed on purpose, make 0.04."""
 
 OTHER_PIXELS = 8
-"""Pixels that may differ by more: a dot or an edge that rounding moved to the next pixel. The smallest digits that figures have,
-of 7 pt at 120 dpi, differ from one another in 30 pixels or more."""
+"""Pixels that may differ by more: a dot or an edge that rounding moved to the next pixel. The smallest digits that
+figures have, of 7 pt at 120 dpi, differ from one another in 30 pixels or more."""
 
 
 def metric_agrees(fresh: Mapping[str, str], published: Mapping[str, str]) -> bool:

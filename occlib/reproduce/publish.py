@@ -1,7 +1,7 @@
 """``occlib reproduce``: run the notebooks, then publish their figures and metrics in ``figures/``, or check them.
 
-``figures/`` changes after the last notebook succeeded, never before, and only where a result does not agree with what is there
-(:mod:`occlib.reproduce.agreement`): a second machine leaves no trace in git.
+``figures/`` changes after the last notebook succeeded, never before, and only where a result does not agree with what
+is there (:mod:`occlib.reproduce.agreement`): a second machine leaves no trace in git.
 """
 
 from __future__ import annotations
@@ -65,7 +65,8 @@ def reproduce(
 ) -> Report:
     """Run notebooks whose inputs changed since their last run, then publish or check their results.
 
-    Metrics that agree with ``figures/metrics.csv`` within their tolerance, and figures that look the same, stay as they are.
+    Metrics that agree with ``figures/metrics.csv`` within their tolerance, and figures that look the same, stay as they
+    are.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
 """Which notebooks there are, with which parameters, whether their results are current, and one process for each.
 
-A notebook runs in an empty scratch folder, one thread, without the user's Jupyter or matplotlib settings, and with the Python
-that runs this. Its executed copy, figures, metrics and manifest go to ``runs/<notebook>/``.
+A notebook runs in an empty scratch folder, one thread, without the user's Jupyter or matplotlib settings, and with the
+Python that runs this. Its executed copy, figures, metrics and manifest go to ``runs/<notebook>/``.
 """
 
 from __future__ import annotations

@@ -1,11 +1,12 @@
 """What a robot does with the map that it receives: plan, give way, drive (section 6.1 of the paper).
 
-The paper leaves planning to the robots: "these parametric vectors are used by the robot of the environment in their path
-planning and obstacle avoidance algorithms". Here: shortest paths on the inflated map, and for several robots prioritised
-planning in space and time, windowed as in WHCA* (Silver 2005, "Cooperative Pathfinding", doi:10.1609/aiide.v1i1.18726).
+The paper leaves planning to the robots: "these parametric vectors are used by the robot of the environment in their
+path planning and obstacle avoidance algorithms". Here: shortest paths on the inflated map, and for several robots
+prioritised planning in space and time, windowed as in WHCA* (Silver 2005, "Cooperative Pathfinding",
+doi:10.1609/aiide.v1i1.18726).
 
-Arrays and numbers only: a robot that gets maps through a socket needs nothing else of this library. What robots announce to
-each other are trajectories: see :mod:`occlib.robots.reservations`.
+Arrays and numbers only: a robot that gets maps through a socket needs nothing else of this library. What robots
+announce to each other are trajectories: see :mod:`occlib.robots.reservations`.
 """
 
 from __future__ import annotations
@@ -78,8 +79,8 @@ def plan(
 def free_start(blocked: Mask, floor: Floor, start_m: npt.ArrayLike, *, reach_m: float = 0.0) -> Mask:
     """The mask with a way out for a robot whose own cell is blocked; the same mask if it is not.
 
-    Freed are the cells up to the nearest free one (and ``reach_m`` further) that are no deeper in the blocked area than the
-    robot itself: on its way out it comes no nearer to any obstacle than it is.
+    Freed are the cells up to the nearest free one (and ``reach_m`` further) that are no deeper in the blocked area than
+    the robot itself: on its way out it comes no nearer to any obstacle than it is.
     """
     checks.mask("blocked", blocked, floor.shape)
     start = _cell(floor, start_m, "start_m")
@@ -94,7 +95,8 @@ def free_start(blocked: Mask, floor: Floor, start_m: npt.ArrayLike, *, reach_m: 
 def shorten(path_m: npt.ArrayLike, blocked: Mask, floor: Floor) -> FloatArray:
     """The path without the corners that a straight free line makes needless, shape (m, 2); never longer.
 
-    From each kept point on, the first that is out of sight keeps the one before it. Lines are looked at every half a cell.
+    From each kept point on, the first that is out of sight keeps the one before it. Lines are looked at every half a
+    cell.
     """
     path = np.asarray(path_m, dtype=np.float64).reshape(-1, 2)
     checks.mask("blocked", blocked, floor.shape)
@@ -126,7 +128,7 @@ def _cell(floor: Floor, point_m: npt.ArrayLike, name: str) -> tuple[int, int]:
 
 
 def _lines_free(blocked: Mask, floor: Floor, a: FloatArray, b: FloatArray) -> Mask:
-    """Which of the straight lines from a (n, 2) to b (n, 2) lie on the floor and on free cells; looked at every half a cell."""
+    """Which straight lines from a (n, 2) to b (n, 2) lie on the floor and on free cells, sampled every half a cell."""
     corner = np.array([floor.x[0], floor.y[0]])
     free: Mask = _free_lines(blocked, (a - corner) / floor.resolution, (b - corner) / floor.resolution)
     return free
@@ -163,10 +165,10 @@ def plan_timed(
 ) -> Trajectory | None:
     """The quickest trajectory among robots, or as much of it as the horizon shows.
 
-    At each step of ``dt_s`` the robot waits or goes straight to a cell of ``cell_m`` that it can reach in that time. Every
-    cell that it can be on at every step is looked at, which for a floor of a few metres is as quick as A* and gives the
-    same plan. What lies beyond the horizon counts as if no robot were there, by the true distance to the goal (the
-    heuristic of HCA*). Between the steps discs are kept apart, too, so robots cannot change places.
+    At each step of ``dt_s`` the robot waits or goes straight to a cell of ``cell_m`` that it can reach in that time.
+    Every cell that it can be on at every step is looked at, which for a floor of a few metres is as quick as A* and
+    gives the same plan. What lies beyond the horizon counts as if no robot were there, by the true distance to the goal
+    (the heuristic of HCA*). Between the steps discs are kept apart, too, so robots cannot change places.
 
     Parameters
     ----------
@@ -192,8 +194,8 @@ def plan_timed(
     Returns
     -------
     list of (t, x, y), or None
-        It ends where the robot would stand, clear of all others for ever: at the goal, or on the way to it. ``None`` if it
-        cannot even keep clear of the others by standing still or moving off.
+        It ends where the robot would stand, clear of all others for ever: at the goal, or on the way to it. ``None`` if
+        it cannot even keep clear of the others by standing still or moving off.
 
     Raises
     ------
@@ -322,13 +324,13 @@ class Navigator:
     speed_mps
         At most.
     margin_m
-        Planned to be free around the disc, so that a robot that is a little off its trajectory need not stop. To obstacles
-        half a cell's diagonal comes on top.
+        Planned to be free around the disc, so that a robot that is a little off its trajectory need not stop. To
+        obstacles half a cell's diagonal comes on top.
     smear_m
         So much further than their discs the robots themselves may show on the map: there it is taken to be free.
     unknown_free
-        Whether the robot may go where nothing is known. By default not: what no camera sees may be occupied. It may always
-        leave such a place.
+        Whether the robot may go where nothing is known. By default not: what no camera sees may be occupied. It may
+        always leave such a place.
     occupied_from
         Values of the map from here on are obstacles, 1 to 100.
     cell_m, dt_s, horizon_s
@@ -348,13 +350,13 @@ class Navigator:
 
     Notes
     -----
-    Two robots whose trajectories are clear of each other stay apart if each updates on the others' newest announcements
-    and drives as announced; before its first update a robot announces that it stands. A robot that stops at once, because an obstacle has come up, breaks its word; the others learn
-    it at their next update.
+    Two robots whose trajectories are clear of each other stay apart if each updates on the others' newest
+    announcements and drives as announced; before its first update a robot announces that it stands. A robot that stops
+    at once, because an obstacle has come up, breaks its word; the others learn it at their next update.
 
-    Safety does not depend on the priorities, so these may change at any time. Rank robots that have :attr:`arrived` below
-    those that have not: one of the highest priority that stands at its goal in a corridor would never make way. Even so,
-    prioritised planning is not complete: there are crowds that could pass each other and do not.
+    Safety does not depend on the priorities, so these may change at any time. Rank robots that have :attr:`arrived`
+    below those that have not: one of the highest priority that stands at its goal in a corridor would never make way.
+    Even so, prioritised planning is not complete: there are crowds that could pass each other and do not.
     """
 
     def __init__(
