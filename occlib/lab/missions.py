@@ -2,7 +2,7 @@
 
 Two wall cameras watch a floor with obstacles and robots. A station turns the silhouettes into a map, by one of
 :data:`MAPS`, and broadcasts it; every robot is a process of its own that receives the maps through a real socket, plans
-with :class:`occlib.robots.navigation.Navigator` and drives. The same missions are driven on every map, and what happens
+with :class:`occlib.robots.Navigator` and drives. The same missions are driven on every map, and what happens
 is scored against what really stands on the floor. Silhouettes come from geometry (:mod:`occlib.lab.simulation`):
 whatever goes wrong is the map's doing.
 
