@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from occlib.base.files import file_hashes, load_json, read_yaml, write_file
-from occlib.recordings import LAB
+from occlib.recordings import LAB, lab_recordings
 
 
 def write_manifest(lab_dir: str | Path = LAB, *, spp: int = 6, llvm: str | None = None) -> Path:
@@ -35,6 +35,8 @@ def write_manifest(lab_dir: str | Path = LAB, *, spp: int = 6, llvm: str | None 
 def verify_manifest(lab_dir: str | Path = LAB) -> list[str]:
     """What differs from the manifest, one line a file; an empty list if nothing does."""
     lab = Path(lab_dir)
+    if not lab.is_dir():
+        raise ValueError(f"{lab}: no such folder ({lab_recordings()})")
     try:
         expected = {name: entry["sha256"] for name, entry in load_json(lab / "manifest.json")["files"].items()}
     except (ValueError, KeyError, TypeError, AttributeError) as error:

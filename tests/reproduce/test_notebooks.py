@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import importlib
 import json
 import re
 import shutil
@@ -60,6 +61,21 @@ def test_code_cells_are_short_and_define_nothing(notebook: Path) -> None:
         assert not re.search(r"(^|[\"'(\s])(/work|/home|/tmp|/root|[A-Z]:\\)", cell["text"]), cell["text"]
 
 
+def test_names_of_the_library_are_there(notebook: Path) -> None:
+    """A name that was moved or renamed is found here in a second, and not after minutes of running."""
+    tree = ast.parse("\n".join(cell["text"] for cell in cells(notebook, "code")))
+    rooms = {}
+    for line in (node for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)):
+        if (line.module or "").split(".")[0] == "occlib":
+            for name in line.names:
+                found = getattr(importlib.import_module(str(line.module)), name.name, None)
+                rooms[name.asname or name.name] = found or importlib.import_module(f"{line.module}.{name.name}")
+    used = {(node.value.id, node.attr) for node in ast.walk(tree)
+            if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name)}  # fmt: skip
+    missing = [f"{room}.{name}" for room, name in sorted(used) if room in rooms and not hasattr(rooms[room], name)]
+    assert missing == []
+
+
 def test_half_of_it_is_prose(notebook: Path) -> None:
     prose = sum(len(cell["text"]) for cell in cells(notebook, "markdown"))
     code = sum(len(cell["text"]) for cell in cells(notebook, "code"))
@@ -92,6 +108,8 @@ def fast_metrics(tmp_path_factory: pytest.TempPathFactory) -> pd.DataFrame:
     return table
 
 
+@pytest.mark.slow
+@pytest.mark.timeout(900)
 def test_every_notebook_runs_and_records(fast_metrics: pd.DataFrame) -> None:
     assert set(fast_metrics["notebook"]) == {path.stem for path in NOTEBOOKS}
     assert fast_metrics["value"].notna().all()
@@ -114,6 +132,7 @@ def real_run(home: Path, cache: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[
     return dict(zip(report.metrics()["metric"], report.metrics()["value"], strict=True)), folder, printed
 
 
+@pytest.mark.slow
 def test_without_the_recording_the_notebook_says_so_and_ends(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     recorded, folder, printed = real_run(tmp_path / "project", tmp_path / "cache", monkeypatch)
     (last,) = (number for number, text in enumerate(printed) if "occlib data fetch ufes-lab" in text)
@@ -123,6 +142,8 @@ def test_without_the_recording_the_notebook_says_so_and_ends(tmp_path: Path, mon
     assert {path.name for path in folder.iterdir()} == {f"{REAL}.ipynb", "manifest.json", "nb11_plan.png"}
 
 
+@pytest.mark.slow
+@pytest.mark.timeout(400)
 def test_with_the_recording_it_scores_and_publishes_nothing_of_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, shared_data: Callable[[str], Path]
 ) -> None:
