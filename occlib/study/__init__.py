@@ -1,23 +1,26 @@
 """Which measure, when: trials under every condition, tables and charts (section 3)."""
 # fmt: off
 
-from occlib.study.charts import best_place, comparison_figure, comparison_table, contact_sheet, frame_place, heatmap
+from occlib.study.charts import comparison_figure, comparison_table, contact_sheet, frame_place, heatmap
 from occlib.study.charts import is_constant, level_curves, measure_styles, precision_recall_curves, runtime_curves
 from occlib.study.charts import score_histogram, verdict_figure
-from occlib.study.conditions import CONDITIONS, Condition
+from occlib.study.conditions import CHANGING_LIGHT, CONDITIONS, CONSTANT_LIGHT, Condition
 from occlib.study.sweeps import load_matchers, run_batches
-from occlib.study.tables import areas, fixed_thresholds, precision_recall, summarise, thresholds, verdicts
+from occlib.study.tables import RULES, areas, fixed_thresholds, precision_recall, summarise, thresholds, verdicts
 from occlib.study.trials import Trial, make_trial, measured_trial, runtime, sources
-from occlib.study.work import Batch, batches, run, run_batch
+from occlib.study.work import PRESETS, Batch, batches, run, run_batch
 
 __all__ = [
+    "CHANGING_LIGHT",
     "CONDITIONS",
+    "CONSTANT_LIGHT",
+    "PRESETS",
+    "RULES",
     "Batch",
     "Condition",
     "Trial",
     "areas",
     "batches",
-    "best_place",
     "comparison_figure",
     "comparison_table",
     "contact_sheet",
