@@ -1,19 +1,28 @@
-"""DOC"""
+"""The work of the study: batches of trials by preset, their run in this process, and the sweep that writes files."""
 
 from __future__ import annotations
 
 import zlib
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 import pandas as pd
 
-from occlib.study import trials
+from occlib.base.files import file_hash, folder_hash, write_file
+from occlib.matching.measures import METHODS
+from occlib.matching.registry import load_matchers
+from occlib.plotting import figure_png
+from occlib.recordings import open_recording
+from occlib.study import charts, tables, trials
 from occlib.study.conditions import CONDITIONS
+from occlib.study.sweeps import run_batches
 from occlib.study.trials import (
+    PHOTOGRAPHS,
     SHIPPED,
     SIDES_PX,
     SOURCES,
@@ -149,3 +158,81 @@ def run(work: Sequence[Batch], methods: Methods = None, *, progress: bool = True
     chosen = None if methods is None else tuple(methods)
     bar = tqdm(work, desc="study", unit="batch", disable=not progress)
     return pd.concat([run_batch(batch, chosen) for batch in bar], ignore_index=True)
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """What :func:`sweep` found, and the names of the files that it wrote into ``out``."""
+
+    out: Path
+    trials: pd.DataFrame
+    summary: pd.DataFrame
+    thresholds: pd.DataFrame
+    verdicts: pd.DataFrame
+    files: tuple[str, ...]
+
+
+def sweep(
+    out: str | Path,
+    preset: str = "full",
+    *,
+    seeds: Iterable[int] | None = None,
+    sides: Iterable[int] | None = None,
+    conditions: Iterable[str] | None = None,
+    sources: Iterable[str] | None = None,
+    methods: Iterable[str] | None = None,
+    matchers: str | Path | None = None,
+    jobs: int = 1,
+    scheduler: str | None = None,
+    progress: bool = True,
+) -> Sweep:
+    """The study in full, kept on disk: goes on where it was stopped.
+
+    Parameters
+    ----------
+    out
+        A folder. Gets ``trials.csv`` (columns: :func:`run_batch`), ``summary.csv`` (:func:`occlib.study.tables.summarise`),
+        ``thresholds.csv``, ``verdicts.csv``, ``manifest.json`` (what they were made with), ``verdicts.png``, ``recall.png``
+        unless each condition has one level only, and ``batches/``, the finished work.
+    preset, seeds, sides, conditions, sources
+        As for :func:`batches`; by default those of the preset.
+    methods
+        Names of measures, by default all.
+    matchers
+        A file that registers measures of your own, see :func:`occlib.matching.registry.load_matchers`. What it imports is
+        not watched for changes.
+    jobs, scheduler, progress
+        As for :func:`occlib.study.sweeps.run_batches`. The results do not depend on them.
+
+    Raises
+    ------
+    ValueError, KeyboardInterrupt
+        As :func:`batches` and :func:`occlib.study.sweeps.run_batches`.
+    """
+    own = load_matchers(matchers) if matchers else {}
+    names = known_names(METHODS if methods is None else methods, METHODS, "methods")
+    work = batches(preset, seeds=seeds, sides=sides, conditions=conditions, sources=sources)
+    recorded = sorted({batch.source for batch in work} - set(PHOTOGRAPHS))
+    inputs = {
+        "methods": names,
+        "matchers": file_hash(Path(matchers)) if matchers else "",
+        "recordings": {name: folder_hash(open_recording(name).path) for name in recorded},
+    }
+    made: dict[str, pd.DataFrame] = {}
+
+    def tables_of(table: pd.DataFrame) -> dict[str, pd.DataFrame]:
+        made.update({"summary": tables.summarise(table), "thresholds": tables.thresholds(table)})
+        made["verdicts"] = tables.verdicts(table)
+        return {f"{name}.csv": frame for name, frame in made.items()}
+
+    function = partial(run_batch, methods=tuple(own.get(name, name) for name in names))
+    options: dict[str, Any] = {"jobs": jobs, "scheduler": scheduler, "progress": progress}
+    found = run_batches(work, function, out, inputs=inputs, tables=tables_of, **options)
+    pictures = {"verdicts.png": charts.verdict_figure(made["verdicts"])}
+    (Path(out) / "recall.png").unlink(missing_ok=True)
+    if made["summary"].groupby("condition")["level"].nunique().max() > 1:  # one level a condition draws no curve
+        pictures["recall.png"] = charts.level_curves(made["summary"])
+    for name, picture in pictures.items():
+        write_file(Path(out) / name, figure_png(picture))
+    files = ("trials.csv", *(f"{name}.csv" for name in made), *pictures)
+    return Sweep(Path(out), found, **made, files=files)

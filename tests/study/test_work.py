@@ -1,6 +1,8 @@
-"""Batches: which there are, and that their numbers depend on nothing else."""
+"""Batches: which there are, and that their numbers depend on nothing else; and the sweep that writes them."""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -37,9 +39,11 @@ def test_threads_and_methods_are_restored(small):
     cv2.setNumThreads(2)
     before = dict(measures.METHODS)
     try:
-        own = measures.Method(**{**vars(measures.METHODS["ssd"]), "name": "own"})
+        ssd, seen = measures.METHODS["ssd"], set()
+        score = lambda *arrays: seen.add(cv2.getNumThreads()) or ssd.score(*arrays)  # noqa: E731
+        own = replace(ssd, name="own", score=score)
         table = work_module.run_batch(work_module.batches("fast", **SMALL)[0], [own, "sad"])
-        assert cv2.getNumThreads() == 2
+        assert cv2.getNumThreads() == 2 and seen == {1}
     finally:
         cv2.setNumThreads(threads)
     assert dict(measures.METHODS) == before and set(table["method"]) == {"own", "sad"}
@@ -133,3 +137,31 @@ def test_wrong_methods_levels_and_tables_are_named(small):
         tables.summarise(small, ["colour"])
     with pytest.raises(ValueError, match="no row"):
         tables.summarise(small[:0])
+
+
+def test_a_sweep_writes_what_it_returns(tmp_path):
+    options = {"seeds": [0, 1], "conditions": ["offset", "occlusion", "absent"], "sources": ["coins"]}
+    found = work_module.sweep(tmp_path, "fast", **options, methods=["zncc", "ssd"], progress=False)
+    assert found.files == (
+        "trials.csv", "summary.csv", "thresholds.csv", "verdicts.csv", "verdicts.png", "recall.png"
+    )  # fmt: skip
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted([*found.files, "batches", "manifest.json"])
+    expected = work_module.run(work_module.batches("fast", **options), ["zncc", "ssd"], progress=False)
+    assert (tmp_path / "trials.csv").read_text() == expected.to_csv(index=False, lineterminator="\n")
+    pd.testing.assert_frame_equal(found.trials, expected)
+    for name, table in (
+        ("summary", tables.summarise(expected)), ("thresholds", tables.thresholds(expected)),
+        ("verdicts", tables.verdicts(expected)),
+    ):  # fmt: skip
+        assert (tmp_path / f"{name}.csv").read_text() == table.to_csv(index=False, lineterminator="\n")
+        pd.testing.assert_frame_equal(getattr(found, name), table)
+
+
+def test_a_sweep_without_a_curve_leaves_no_picture_of_an_earlier_one(tmp_path):
+    (tmp_path / "recall.png").write_bytes(b"of an earlier sweep")
+    options = {"seeds": [0], "conditions": ["time"], "sources": ["four_robots"], "methods": ["ssd"], "progress": False}
+    assert "recall.png" in work_module.sweep(tmp_path, "fast", **options).files
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(CONDITIONS, "time", replace(CONDITIONS["time"], levels=(0,)))
+        assert "recall.png" not in work_module.sweep(tmp_path, "fast", **options).files
+    assert not (tmp_path / "recall.png").exists()
