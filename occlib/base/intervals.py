@@ -1,4 +1,4 @@
-"""DOC"""
+"""95 % confidence intervals: of proportions, of means, and of means over groups."""
 
 from __future__ import annotations
 
@@ -13,7 +13,8 @@ from occlib.base.arrays import FloatArray
 if TYPE_CHECKING:
     import pandas as pd
 
-STEP = 0.05  # of an area, the least that a lost target costs
+STEP = 0.05
+"""Of an area under recall (0 to 1): the least that one lost target costs."""
 
 
 def wilson_interval(hits: npt.ArrayLike, count: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
@@ -67,6 +68,6 @@ def stratified_interval(values: pd.Series[float]) -> tuple[float, float, float]:
     return mean, mean - half, mean + half
 
 
-def _log_interval(values: pd.Series[float]) -> tuple[float, ...]:
+def log_interval(values: pd.Series[float]) -> tuple[float, ...]:
     """As :func:`t_interval` for what is positive and skewed; a length of exactly 0 counts as a thousandth."""
     return tuple(float(np.exp(end)) for end in t_interval(np.log(values.clip(lower=1e-3))))

@@ -48,13 +48,13 @@ def compare(args: argparse.Namespace) -> int:
     results = compare_pictures(
         args.image,
         args.template,
-        args.methods,
+        args.out,
+        methods=args.methods,
         mask=args.mask or None,
         threshold=args.threshold,
         rule=args.rule,
         colour=args.colour,
         matchers=args.matchers or None,
-        out=args.out,
     )
     rows = comparison_rows(results)
     if args.json:

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
-from typing import Any
 
 from occlib.cli.options import Commands, add_command, one_of
 
@@ -52,42 +50,23 @@ def add(commands: Commands) -> None:
 
 def sweep(args: argparse.Namespace) -> int:
     """Run what is missing of the study, write its tables and charts, print the verdicts."""
-    from contextlib import suppress
-    from functools import partial
+    from occlib import study
 
-    from occlib.base.files import file_hash, folder_hash, write_file
-    from occlib.matching.measures import METHODS
-    from occlib.plotting import figure_png
-    from occlib.recordings import open_recording
-    from occlib.study import charts, sweeps, tables, trials
-    from occlib.study import work as work_module
-
-    own = sweeps.load_matchers(args.matchers) if args.matchers else {}
-    names = trials.known_names(args.methods or METHODS, METHODS, "methods")
-    chosen = {"seeds": _seeds(args.seeds), "sides": args.sides, "conditions": args.conditions, "sources": args.sources}
-    work = work_module.batches("fast" if args.fast else "full", **chosen)
-    recorded = sorted({batch.source for batch in work} - set(trials.PHOTOGRAPHS))
-    inputs: dict[str, Any] = {"methods": names, "matchers": file_hash(Path(args.matchers)) if own else ""}
-    inputs["recordings"] = {name: folder_hash(open_recording(name).path) for name in recorded}
-    made: dict[str, Any] = {}
-
-    def made_of(table: Any) -> dict[str, Any]:
-        made.update({"summary.csv": tables.summarise(table), "thresholds.csv": tables.thresholds(table)})
-        made["verdicts.csv"] = tables.verdicts(table)
-        return made
-
-    function = partial(work_module.run_batch, methods=tuple(own.get(name, name) for name in names))
-    options = {"jobs": args.jobs, "scheduler": args.scheduler, "inputs": inputs, "tables": made_of}
-    count = len(sweeps.run_batches(work, function, args.out, **options))
-    pictures = {"verdicts.png": charts.verdict_figure(made["verdicts.csv"])}
-    (Path(args.out) / "recall.png").unlink(missing_ok=True)
-    with suppress(ValueError):  # one level a condition draws no curve
-        pictures["recall.png"] = charts.level_curves(made["summary.csv"])
-    for name, picture in pictures.items():
-        write_file(Path(args.out) / name, figure_png(picture))
-    for condition, statement in made["verdicts.csv"][["condition", "statement"]].itertuples(index=False):
+    done = study.sweep(
+        args.out,
+        "fast" if args.fast else "full",
+        seeds=_seeds(args.seeds),
+        sides=args.sides,
+        conditions=args.conditions,
+        sources=args.sources,
+        methods=args.methods,
+        matchers=args.matchers or None,
+        jobs=args.jobs,
+        scheduler=args.scheduler,
+    )
+    for condition, statement in done.verdicts[["condition", "statement"]].itertuples(index=False):
         print(f"{condition:>18}  {statement}")
-    print(f"{args.out}: trials.csv ({count} rows), {', '.join([*made, *pictures])}")
+    print(f"{args.out}: trials.csv ({len(done.trials)} rows), {', '.join(done.files)}")
     return 0
 
 

@@ -1,4 +1,4 @@
-"""DOC"""
+"""Checks of what :mod:`occlib.matching.search` is given: image, template and mask, made ready for a measure."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from occlib.base.arrays import Image
-from occlib.matching.measures import Array
+from occlib.matching.sums import Array
 
 
 def _picture(values: npt.ArrayLike, name: str) -> Image:
@@ -27,7 +27,7 @@ def _picture(values: npt.ArrayLike, name: str) -> Image:
     return array.reshape(*array.shape[:2], -1)
 
 
-def _checked(image: npt.ArrayLike, template: npt.ArrayLike, mask: npt.ArrayLike | None) -> tuple[Image, Image, Array]:
+def checked(image: npt.ArrayLike, template: npt.ArrayLike, mask: npt.ArrayLike | None) -> tuple[Image, Image, Array]:
     """Image (H, W, C) and template (h, w, C) of one type, uint8, uint16 or float64, and the mask (h, w)."""
     f, t = _picture(image, "image"), _picture(template, "template")
     if f.shape[2] != t.shape[2]:
@@ -39,10 +39,10 @@ def _checked(image: npt.ArrayLike, template: npt.ArrayLike, mask: npt.ArrayLike 
         kind = np.uint8
     elif all(a.dtype.kind in "ui" and a.min() >= 0 and a.max() <= 65535 for a in (f, t)):
         kind = np.uint16
-    return f.astype(kind, copy=False), t.astype(kind, copy=False), _checked_mask(mask, t.shape[:2])
+    return f.astype(kind, copy=False), t.astype(kind, copy=False), checked_mask(mask, t.shape[:2])
 
 
-def _checked_mask(mask: npt.ArrayLike | None, shape: tuple[int, ...]) -> Array:
+def checked_mask(mask: npt.ArrayLike | None, shape: tuple[int, ...]) -> Array:
     """Bool where the weights say no more than yes and no, else float64 up to 1."""
     weights = np.ones(shape, bool) if mask is None else np.asarray(mask)
     if weights.dtype.kind not in "buif" or weights.shape != shape:

@@ -19,10 +19,6 @@ TILE = 64
 """Side in px of the squares of the similarity image that the search from coarse to fine computes at a time."""
 
 
-COARSE = ("ssd", "sad", "ncc", "zncc")
-"""Measures that are searched from coarse to fine: ``sed`` is no slower in full, and of others nothing is known."""
-
-
 @dataclass(frozen=True)
 class Warp:
     """A template turned and scaled about its centre; ``mask`` is what of the canvas the template covers."""
@@ -206,7 +202,7 @@ def _cost(measure: Method, image: Array, warp: Warp) -> FloatArray:
 
 def _coarse_step(measure: Method, warp: Warp, levels: int) -> int:
     """Side in px of a coarse pixel: 4 of them span the template."""
-    if measure.name not in COARSE:
+    if not measure.coarse_to_fine:
         return 1
     return int(2 ** min(levels, np.floor(np.log2(max(min(warp.mask.shape) / 4, 1)))))
 
@@ -265,7 +261,7 @@ def _relaxed(measure: Method, limit: float, warp: Warp, small: Warp, step: int) 
 def _contrast(measure: Method, warp: Warp) -> float:
     """What of the template a correlation explains: its variance or, not centred, its mean square."""
     values, weights = warp.template[warp.mask > 0].astype(np.float64), warp.mask[warp.mask > 0].astype(np.float64)
-    origin = np.average(values, axis=0, weights=weights) if measure.name == "zncc" else 0.0
+    origin = np.average(values, axis=0, weights=weights) if measure.centred else 0.0
     return float(np.average((values - origin) ** 2, axis=0, weights=weights).mean())
 
 

@@ -1,4 +1,4 @@
-"""DOC"""
+"""Places in a similarity image: the best one, all optima that reach a limit, and optima to a fraction of a pixel."""
 
 from __future__ import annotations
 
@@ -10,9 +10,50 @@ import numpy as np
 import numpy.typing as npt
 
 from occlib.base.arrays import FloatArray, Mask
-from occlib.matching.measures import _method
+from occlib.matching.measures import known_method
 
 RULES = ("components", "nms")
+
+
+def best(score: npt.ArrayLike, method: str) -> tuple[int, int]:
+    """The place of the best score: the lowest of a distance, the highest of a correlation.
+
+    Parameters
+    ----------
+    score
+        Similarity image (M, N) of ``method``; infinite where there is no score.
+    method
+        One of :data:`METHODS`.
+
+    Returns
+    -------
+    tuple
+        Row and column. Equal scores: the first in row-major order.
+
+    Raises
+    ------
+    ValueError
+        Unknown method; scores that are no similarity image.
+
+    Examples
+    --------
+    >>> best([[5, 1, 5], [1, 9, 9]], "sad")
+    (0, 1)
+    >>> best([[5, 1, 5], [1, 9, 9]], "ncc")
+    (1, 1)
+    """
+    cost = _costs(score, method)
+    row, column = np.unravel_index(cost.argmin(), cost.shape)
+    return int(row), int(column)
+
+
+def _costs(score: npt.ArrayLike, method: str) -> FloatArray:
+    """The similarity image turned so that less is better."""
+    higher_is_better = known_method(method).higher_is_better
+    values = np.asarray(score, dtype=np.float64)
+    if values.ndim != 2 or values.size == 0:
+        raise ValueError(f"score: expected a similarity image (rows, columns), got shape {values.shape}")
+    return -values if higher_is_better else values
 
 
 def optima(
@@ -57,13 +98,9 @@ def optima(
     >>> optima([[5, 1, 5, 2, 9]], "sad", 2, "nms", size=(1, 4))
     array([[0, 1]])
     """
-    measure = _method(method)
-    _check_search(rule, max_count)
-    values = np.asarray(score, dtype=np.float64)
-    if values.ndim != 2 or values.size == 0:
-        raise ValueError(f"score: expected a similarity image (rows, columns), got shape {values.shape}")
-    cost = -values if measure.higher_is_better else values
-    accepted = cost <= (-limit if measure.higher_is_better else limit)
+    check_search(rule, max_count)
+    cost = _costs(score, method)
+    accepted = cost <= (-limit if known_method(method).higher_is_better else limit)
     if rule == "components":
         _, labels = cv2.connectedComponents(accepted.astype(np.uint8), connectivity=8)
         places = np.flatnonzero(accepted)
@@ -72,7 +109,7 @@ def optima(
         places = places[np.sort(first)]
     else:
         places = _unsuppressed(cost, accepted, size[0] // 2, size[1] // 2)
-    return np.stack(np.unravel_index(places[:max_count], values.shape), axis=1)
+    return np.stack(np.unravel_index(places[:max_count], cost.shape), axis=1)
 
 
 def refine(score: npt.ArrayLike, places: npt.ArrayLike) -> FloatArray:
@@ -114,7 +151,7 @@ def _unsuppressed(cost: FloatArray, accepted: Mask, rows: int, columns: int) -> 
     return np.array(kept, dtype=np.intp)
 
 
-def _check_search(rule: str, max_count: Any, pyramid: Any = 0) -> None:
+def check_search(rule: str, max_count: Any, pyramid: Any = 0) -> None:
     if rule not in RULES:
         raise ValueError(f"rule: expected one of {', '.join(RULES)}, got {rule!r}")
     if max_count is not None and (

@@ -1,9 +1,11 @@
-"""DOC"""
+"""Measures of your own: a decorator that adds one to the built-in ones, and files that hold some."""
 
 from __future__ import annotations
 
 import re
+import runpy
 from collections.abc import Callable
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
@@ -52,6 +54,7 @@ def matcher(
     ...     windows = np.lib.stride_tricks.sliding_window_view(image, template.shape[:2], axis=(0, 1))
     ...     difference = np.abs(np.moveaxis(windows, 2, -1).astype(float) - template)[:, :, mask > 0]
     ...     return difference.max(axis=(2, 3))
+    >>> from occlib.matching.search import similarity
     >>> similarity([[1, 2, 3]], [[2, 4]], "extreme")
     array([[2., 1.]])
     >>> del METHODS["extreme"]
@@ -80,10 +83,43 @@ def matcher(
             return values
 
         text = description or (function.__doc__ or name).strip().splitlines()[0]
-        METHODS[name] = Method(name, text, higher_is_better, score, score, default_threshold, bounds=bounds)
+        METHODS[name] = Method(name, text, higher_is_better, score, default_threshold, bounds=bounds)
         return function
 
     return register
+
+
+def load_matchers(path: str | Path) -> dict[str, Method]:
+    """Run a Python file that registers matchers (:func:`matcher`).
+
+    Their functions travel to worker processes by value, with whatever of the file they use; modules that they import
+    must be installed there.
+
+    Parameters
+    ----------
+    path
+        The file. It is run with the rights of this process: only give a file that you trust.
+
+    Returns
+    -------
+    dict
+        The matchers that are new, by name.
+
+    Raises
+    ------
+    ValueError
+        In one line: no such file, what went wrong in it, or no matcher in it.
+    """
+    previous = dict(METHODS)
+    try:
+        runpy.run_path(str(path))
+    except (Exception, SystemExit) as error:
+        reason = getattr(error, "strerror", None) if isinstance(error, OSError) else None
+        raise ValueError(f"{path}: {reason or ' '.join(f'{type(error).__name__}: {error}'.split())}") from None
+    found = {name: method for name, method in METHODS.items() if previous.get(name) is not method}
+    if not found:
+        raise ValueError(f"{path}: registers no matcher; expected a function under @matching.matcher(...)")
+    return found
 
 
 def _read_only(values: Array) -> Array:

@@ -16,11 +16,11 @@ import numpy as np
 import numpy.typing as npt
 
 from occlib.base.arrays import FloatArray
-from occlib.matching.arguments import _checked
+from occlib.matching.arguments import checked
 from occlib.matching.banks import Bank, warps
-from occlib.matching.measures import METHODS, Method, _method
-from occlib.matching.optima import _check_search, optima, refine
-from occlib.matching.thresholds import _own_threshold, score_threshold
+from occlib.matching.measures import METHODS, Method, known_method
+from occlib.matching.optima import check_search, optima, refine
+from occlib.matching.thresholds import own_threshold, score_threshold
 
 
 @dataclass(frozen=True)
@@ -125,22 +125,10 @@ def similarity(
     >>> similarity(image, [[2, 3], [5, 6]], "sad", mask=[[True, False], [False, False]])
     array([[1., 0.]])
     """
-    measure = _method(method)
-    f, t, used = _checked(image, template, mask)
+    measure = known_method(method)
+    f, t, used = checked(image, template, mask)
     f, [(t, used)] = measure.prepare(f, [(t, used)])
     return measure.score(f, t, used)
-
-
-def reference_similarity(
-    image: npt.ArrayLike, template: npt.ArrayLike, method: str = "ssd", mask: npt.ArrayLike | None = None
-) -> FloatArray:
-    """The same as :func:`similarity`, computed literally as Eq 1 reads. Slow: for reading and for tests.
-
-    >>> reference_similarity([[1, 2, 3]], [[2, 4]], "ssd")
-    array([[2.5, 0.5]])
-    """
-    measure = _method(method)
-    return measure.reference(*_checked(image, template, mask))
 
 
 def default_threshold(
@@ -170,8 +158,8 @@ def default_threshold(
     >>> default_threshold(np.zeros((4, 4)), [[0, 2]], "ssd")
     0.5
     """
-    measure = _method(method)
-    arrays = _checked(image, template, mask)
+    measure = known_method(method)
+    arrays = checked(image, template, mask)
     if isinstance(measure.default_threshold, str):
         return score_threshold(similarity(image, template, method, mask), method, measure.default_threshold)
     return measure.default_threshold(*arrays)
@@ -228,11 +216,11 @@ def find(
     >>> [(match.x, match.y, match.score) for match in find(image, image[1:4, 2:5])]
     [(2, 1, 0.0), (8, 4, 0.0)]
     """
-    measure = _method(method)
-    f, t, used = _checked(image, template, mask)
-    _check_search(rule, max_count, pyramid)
+    measure = known_method(method)
+    f, t, used = checked(image, template, mask)
+    check_search(rule, max_count, pyramid)
     if threshold is None:
-        threshold = _own_threshold(measure, f, t, used)
+        threshold = own_threshold(measure, f, t, used)
     bank = Bank.of(measure, f, warps(t, used, f.shape, angles, scales))
     if pyramid and not isinstance(threshold, str):
         limit = score_threshold([], method, threshold)
@@ -269,15 +257,15 @@ def compare(
     >>> {name: len(result.matches) for name, result in compare(image, image[1:4, 2:5], ["ssd", "zncc"]).items()}
     {'ssd': 2, 'zncc': 2}
     """
-    f, t, used = _checked(image, template, mask)
+    f, t, used = checked(image, template, mask)
     results = {}
     for name in METHODS if methods is None else [methods] if isinstance(methods, str) else methods:
-        measure = _method(name)
+        measure = known_method(name)
         similarity(f[: t.shape[0], : t.shape[1]], t, name, used)
         started = time.perf_counter()
         score = similarity(f, t, name, used)
         seconds = time.perf_counter() - started
-        limit = score_threshold(score, name, _own_threshold(measure, f, t, used) if threshold is None else threshold)
+        limit = score_threshold(score, name, own_threshold(measure, f, t, used) if threshold is None else threshold)
         height, width = t.shape[:2]
         places = optima(score, name, limit, rule, size=(height, width), max_count=max_count)
         matches = [Match(int(x), int(y), float(score[y, x]), width, height) for y, x in places]

@@ -1,4 +1,4 @@
-"""DOC"""
+"""From scores to a threshold: a number that is checked, or a rule that reads it from the similarity image."""
 
 from __future__ import annotations
 
@@ -8,14 +8,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from occlib.matching.measures import Array, Method, _method
+from occlib.matching.measures import Array, Method, known_method
 
 THRESHOLDS = ("otsu", "mad")
 
-
 SPREAD = 5.0
 """Standard deviations, estimated robustly, between the similarity image's median and the threshold ``"mad"``."""
-
 
 ROUNDING = 1e-12
 """A similarity image whose scores differ by less than this share of the largest is constant."""
@@ -46,7 +44,7 @@ def score_threshold(score: npt.ArrayLike, method: str, threshold: Any) -> float:
     >>> round(score_threshold([8, 9, 10, 11, 12], "sad", "mad"), 3)
     2.587
     """
-    measure = _method(method)
+    measure = known_method(method)
     if isinstance(threshold, str) and threshold in THRESHOLDS:
         values = np.asarray(score, dtype=np.float64)
         values = values[np.isfinite(values)]
@@ -70,6 +68,7 @@ def score_threshold(score: npt.ArrayLike, method: str, threshold: Any) -> float:
     return float(threshold)
 
 
-def _own_threshold(measure: Method, image: Array, template: Array, mask: Array) -> float | str:
+def own_threshold(measure: Method, image: Array, template: Array, mask: Array) -> float | str:
+    """What a measure accepts by default: a number, or the name of a rule."""
     own = measure.default_threshold
     return own if isinstance(own, str) else own(image, template, mask)

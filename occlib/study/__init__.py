@@ -1,49 +1,21 @@
 """Which measure, when: trials under every condition, tables and charts (section 3)."""
 # fmt: off
 
-from occlib.study.charts import best_place, comparison_figure, comparison_rows, comparison_table, contact_sheet
-from occlib.study.charts import frame_place, heatmap, is_constant, level_curves, measure_styles, precision_recall_curves, runtime_curves
+from occlib.study.charts import comparison_figure, comparison_rows, comparison_table, contact_sheet
+from occlib.study.charts import frame_place, heatmap
+from occlib.study.charts import is_constant, level_curves, measure_styles, precision_recall_curves, runtime_curves
 from occlib.study.charts import score_histogram, verdict_figure
-from occlib.study.conditions import CONDITIONS, Condition
-from occlib.study.pictures import compare_pictures
-from occlib.study.sweeps import load_matchers, run_batches
-from occlib.study.tables import areas, fixed_thresholds, precision_recall, summarise, thresholds, verdicts
+from occlib.study.comparison import compare_pictures
+from occlib.study.conditions import CHANGING_LIGHT, CONDITIONS, CONSTANT_LIGHT, Condition
+from occlib.study.sweeps import Sweep, load_matchers, run_batches, sweep
+from occlib.study.tables import RULES, areas, fixed_thresholds, precision_recall, summarise, thresholds, verdicts
 from occlib.study.trials import Trial, make_trial, measured_trial, runtime, sources
-from occlib.study.work import Batch, batches, run, run_batch
+from occlib.study.work import PRESETS, Batch, batches, run, run_batch
 
 __all__ = [
-    "CONDITIONS",
-    "Batch",
-    "Condition",
-    "Trial",
-    "areas",
-    "batches",
-    "best_place",
-    "compare_pictures",
-    "comparison_figure",
-    "comparison_rows",
-    "comparison_table",
-    "contact_sheet",
-    "fixed_thresholds",
-    "frame_place",
-    "heatmap",
-    "is_constant",
-    "level_curves",
-    "load_matchers",
-    "make_trial",
-    "measure_styles",
-    "measured_trial",
-    "precision_recall",
-    "precision_recall_curves",
-    "run",
-    "run_batch",
-    "run_batches",
-    "runtime",
-    "runtime_curves",
-    "score_histogram",
-    "sources",
-    "summarise",
-    "thresholds",
-    "verdict_figure",
-    "verdicts",
+    "CHANGING_LIGHT", "CONDITIONS", "CONSTANT_LIGHT", "PRESETS", "RULES", "Batch", "Condition", "Sweep", "Trial",
+    "areas", "batches", "compare_pictures", "comparison_figure", "comparison_rows", "comparison_table", "contact_sheet",
+    "fixed_thresholds", "frame_place", "heatmap", "is_constant", "level_curves", "load_matchers", "make_trial", "measure_styles",
+    "measured_trial", "precision_recall", "precision_recall_curves", "run", "run_batch", "run_batches", "runtime",
+    "runtime_curves", "score_histogram", "sources", "summarise", "sweep", "thresholds", "verdict_figure", "verdicts",
 ]

@@ -16,9 +16,10 @@ from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
 
 from occlib.base.arrays import Image
 from occlib.base.extras import pandas as pd
+from occlib.matching.optima import best
 from occlib.matching.thresholds import ROUNDING
 from occlib.plotting import show_image, show_matches, show_similarity
-from occlib.study.conditions import CONDITIONS
+from occlib.study.conditions import CONDITIONS, CONSTANT_LIGHT
 
 if TYPE_CHECKING:
     from occlib.matching.search import Comparison
@@ -26,10 +27,10 @@ if TYPE_CHECKING:
 
 
 ACCEPTED = "#D55E00"
-
+"""Colour of thresholds, matches and frames."""
 
 MOST_DRAWN = 100
-
+"""Matches drawn into a picture: more hide it."""
 
 STYLES = {
     "ssd": ("#000000", "o"),
@@ -38,10 +39,10 @@ STYLES = {
     "zncc": ("#0072B2", "D"),
     "sed": ("#009E73", "v"),
 }
-
+"""Colour and marker of the built-in measures."""
 
 OTHER_STYLES = (("#CC79A7", "P"), ("#8B6914", "X"), ("#7F7F7F", "<"), ("#A020F0", ">"))
-
+"""Of all others, in turn."""
 
 LABELS = {
     "recall": "recall at rank 1",
@@ -62,7 +63,7 @@ def comparison_rows(results: Mapping[str, Comparison]) -> dict[str, dict[str, fl
     """
     rows: dict[str, dict[str, float | None]] = {}
     for name, result in results.items():
-        y, x = best_place(result)
+        y, x = best(result.score, name)
         told = not is_constant(result.score) or result.score.size == 1
         rows[name] = {
             "best": float(result.score[y, x]) if told else None,
@@ -86,13 +87,6 @@ def is_constant(score: npt.NDArray[np.float64]) -> bool:
     return bool(np.ptp(score) <= ROUNDING * np.abs(score).max())
 
 
-def best_place(result: Comparison) -> tuple[int, int]:
-    """Row and column of the best score, the first of equal ones."""
-    place = result.score.argmax() if result.method.higher_is_better else result.score.argmin()
-    y, x = np.unravel_index(place, result.score.shape)
-    return int(y), int(x)
-
-
 def comparison_figure(image: Image, template: Image, results: Mapping[str, Comparison]) -> Figure:
     """A column a measure: its similarity image, the scores with the threshold, and the matches; first the input."""
     fig = Figure(figsize=(2.0 + 2.6 * len(results), 6.6), layout="constrained")
@@ -101,19 +95,19 @@ def comparison_figure(image: Image, template: Image, results: Mapping[str, Compa
     show_image(axes[1, 0], image, f"image\n{image.shape[1]} x {image.shape[0]} px")
     axes[2, 0].axis("off")
     for line, (name, result) in zip(axes[:, 1:].T, results.items(), strict=True):
-        best = "high is alike" if result.method.higher_is_better else "low is alike"
+        direction = "high is alike" if result.method.higher_is_better else "low is alike"
         cmap = "viridis" if result.method.higher_is_better else "viridis_r"
         shown = show_similarity(line[0], result.score, image.shape, f"{name}\n{result.method.description}", cmap=cmap)
         line[0].title.set(fontsize=8)
         fig.colorbar(shown, ax=line[0], shrink=0.6).ax.tick_params(labelsize=7)
         score_histogram(line[1], result.score, result.threshold, higher_is_better=result.method.higher_is_better)
-        line[1].set_xlabel(f"score, {best}", fontsize=8)
+        line[1].set_xlabel(f"score, {direction}", fontsize=8)
         count = len(result.matches)
         drawn = f", best {MOST_DRAWN} drawn" if count > MOST_DRAWN else "" if count else ", best place dashed"
         show_image(line[2], image, f"{count} match{'' if count == 1 else 'es'}{drawn}")
         show_matches(line[2], result.matches[:MOST_DRAWN], colour=ACCEPTED)
         if not count:
-            frame_place(line[2], best_place(result)[::-1], template.shape, linestyle="--")
+            frame_place(line[2], best(result.score, name)[::-1], template.shape, linestyle="--")
     axes[1, 1].set_ylabel("places", fontsize=8)
     return fig
 
@@ -216,12 +210,12 @@ def level_curves(
     fig, axes = _panels(len(names), columns, 2.2)
     for ax, name in zip(axes.ravel(), names, strict=False):
         panel = summary[summary["condition"] == name]
-        levels = sorted(panel["level"].unique(), reverse=name == "jpeg")  # worse to the right, as elsewhere
+        falling = name in CONDITIONS and CONDITIONS[name].worst_first
+        levels = sorted(panel["level"].unique(), reverse=falling)  # worse to the right
         for number, (line, look) in enumerate(looks.items()):
             shift = 0.09 * (number - (len(looks) - 1) / 2)
-            _line(
-                ax, panel[panel[by] == line].set_index("level").reindex(levels), value, shift, {**look, "label": line}
-            )
+            values = panel[panel[by] == line].set_index("level").reindex(levels)
+            _line(ax, values, value, shift, {**look, "label": line})
         ax.set_xticks(range(len(levels)), [f"{level:g}" for level in levels], fontsize=8)
         ax.set_xlabel(CONDITIONS[name].unit if name in CONDITIONS else "level", fontsize=9)
         ax.set_title(name, fontsize=10, fontweight="bold")
@@ -286,8 +280,8 @@ def precision_recall_curves(curves: pd.DataFrame, by: str = "condition", *, colu
             line = curves[(curves[by] == name) & (curves["method"] == method)]
             ax.plot(line["recall"], line["precision"], color=look["color"], linewidth=1.4)
             if len(line):
-                best = line.iloc[[int(line["f1"].to_numpy().argmax())]]
-                ax.plot(best["recall"], best["precision"], **{"markersize": 6, "linestyle": "", **look})
+                peak = line.iloc[[int(line["f1"].to_numpy().argmax())]]
+                ax.plot(peak["recall"], peak["precision"], **{"markersize": 6, "linestyle": "", **look})
         ax.set(xlim=(0, 1.03), ylim=(0, 1.04))
         ax.set_title(name, fontsize=10, fontweight="bold")
     for ax in axes[:, 0]:
@@ -301,7 +295,7 @@ def precision_recall_curves(curves: pd.DataFrame, by: str = "condition", *, colu
 
 
 def runtime_curves(ax: Axes, times: pd.DataFrame, value: str = "median_ms", label: str = "run time (ms)") -> None:
-    """``value`` against the side of the template, both logarithmic; columns as from :func:`occlib.study.tables.runtime`."""
+    """``value`` against the side of the template, both logarithmic; columns as from :func:`occlib.study.trials.runtime`."""
     for method, look in measure_styles(times["method"]).items():
         line = times[times["method"] == method].sort_values("side")
         ax.plot(line["side"], line[value], label=method, **look)
@@ -350,7 +344,7 @@ def verdict_figure(verdicts: pd.DataFrame) -> Figure:
             marked=pd.DataFrame(good))  # fmt: skip
     left.set_yticks(range(len(rows)), [f"{name} ({row['best']})" for name, row in rows.iterrows()])
     for place, name in enumerate(rows.index):
-        if name == "constant light":  # below: means over conditions
+        if name == CONSTANT_LIGHT:  # from here on: means over conditions
             left.axhline(place - 0.5, color="black", linewidth=2)
             right.axhline(place - 0.5, color="black", linewidth=2)
     places = np.arange(len(rows))

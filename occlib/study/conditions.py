@@ -1,10 +1,14 @@
-"""What disturbs a template search, one factor at a time: the table :data:`CONDITIONS` of :mod:`occlib.study.tables`."""
+"""What disturbs a template search, one factor at a time: the table :data:`CONDITIONS`.
+
+A condition carries all that the study must know of it: how it changes a picture and at which moment, what else its
+level stands for, where it can be tried, and how it is judged. A new one is one more entry.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 import cv2
 import numpy as np
@@ -13,16 +17,39 @@ from occlib.base.arrays import Image
 
 Box: TypeAlias = tuple[int, int, int, int]  # x, y of the top-left pixel, width, height in px
 
-
 Apply: TypeAlias = Callable[[Image, Box, float, np.random.Generator], Image]
+
+CONSTANT_LIGHT, CHANGING_LIGHT = "constant light", "changing light"
+"""Groups of conditions, of which the verdicts give the means."""
 
 
 @dataclass(frozen=True)
 class Condition:
-    """One factor: ``apply(image, box, level, rng) -> image`` degrades a grey uint8 picture around ``box``.
+    """One factor that makes a template search harder.
 
-    ``clean`` is the level that changes nothing. ``whole``: applied to the whole picture before the search image
-    is cut from it, so that what turns or shrinks into view is real.
+    Attributes
+    ----------
+    name, unit, about
+        How it is called, the unit of its levels, and a line for tables.
+    clean
+        The level that changes nothing.
+    levels
+        The levels to try, rising.
+    apply
+        ``apply(image, box, level, rng) -> image`` degrades a grey uint8 picture around ``box``, the target.
+    moment
+        When that happens: to the ``"scene"``, before the search image is cut from the whole picture, so that what
+        turns or shrinks into view is real; in the ``"light"``, before the sensor adds its noise; in the ``"file"``,
+        after it.
+    under
+        Noise (standard deviation, grey levels) beside the sensor's own, under which all levels are tried.
+    level_is
+        What else the level stands for: the ``"side"`` of the template in px, or the ``"delay"`` in frames between
+        template and search image.
+    removes_target
+        Whether the target is gone at all levels but the clean one: then whatever is accepted is a false alarm.
+    group
+        The mean of the verdicts that it counts in, or None.
     """
 
     name: str
@@ -31,8 +58,36 @@ class Condition:
     levels: tuple[float, ...]
     about: str
     apply: Apply
-    whole: bool = False
+    moment: Literal["scene", "light", "file"] = "light"
     under: float = 0.0
+    level_is: Literal["side", "delay"] | None = None
+    removes_target: bool = False
+    group: str | None = CONSTANT_LIGHT
+
+    def side(self, level: float, otherwise: int) -> int:
+        """Side of the template in px: the level, or ``otherwise`` where that stands for something else."""
+        return int(level) if self.level_is == "side" else otherwise
+
+    def delay(self, level: float) -> int:
+        """Frames between template and search image."""
+        return int(level) if self.level_is == "delay" else 0
+
+    def suits(self, side: int, *, filmed: bool) -> bool:
+        """Whether it can be tried with templates of this side, on a source that is ``filmed`` (things move) or not."""
+        return {"side": side == self.clean, "delay": filmed, None: True}[self.level_is]
+
+    def degrade(self, moment: str, image: Image, box: Box, level: float, rng: np.random.Generator) -> Image:
+        """The picture after this moment: changed if it is the condition's and the level is not the clean one."""
+        return self.apply(image, box, level, rng) if moment == self.moment and level != self.clean else image
+
+    def is_undisturbed(self, level: float) -> bool:
+        """Whether the search image is the clean one, without the noise that some conditions are tried under."""
+        return level == self.clean and not self.under
+
+    @property
+    def worst_first(self) -> bool:
+        """Whether low levels are the bad ones, as of a quality."""
+        return self.clean == max(self.levels)
 
     @property
     def few_levels(self) -> tuple[float, ...]:
@@ -112,36 +167,38 @@ def _remove(image: Image, box: Box, level: float, rng: np.random.Generator) -> I
 
 
 def _nothing(image: Image, box: Box, level: float, rng: np.random.Generator) -> Image:
-    return image  # the level acts on the template (side) or on the choice of the frame (time)
+    return image  # the level is the side of the template or a delay
 
 
 CONDITIONS: dict[str, Condition] = {
     condition.name: condition
     for condition in (
         Condition("gain", "factor", 1, (0.4, 0.6, 0.8, 1, 1.25, 1.6, 2), "grey levels multiplied, clipped",
-                  lambda image, box, level, rng: _bytes(level * image.astype(float))),
+                  lambda image, box, level, rng: _bytes(level * image.astype(float)), group=CHANGING_LIGHT),
         Condition("offset", "grey levels", 0, (-80, -40, -20, 0, 20, 40, 80), "grey levels added, clipped",
-                  lambda image, box, level, rng: _bytes(image + float(level))),
+                  lambda image, box, level, rng: _bytes(image + float(level)), group=CHANGING_LIGHT),
         Condition("gradient", "share", 0, (0, 0.2, 0.4, 0.6, 0.8), "gain 1 - level at the left border of the search "
-                  "image, rising linearly to 1 + level at the right one, clipped", _ramp),
+                  "image, rising linearly to 1 + level at the right one, clipped", _ramp,
+                  group=CHANGING_LIGHT),
         Condition("noise", "grey levels", 0, (0, 10, 20, 40, 80), "standard deviation of Gaussian noise", _noise),
         Condition("blur", "px", 0, (0, 1, 2, 4, 6), "standard deviation of a Gaussian blur",
                   lambda image, box, level, rng: cv2.GaussianBlur(image, (0, 0), level)),
         Condition("occlusion", "share", 0, (0, 0.2, 0.4, 0.6, 0.8), "share of the target covered by another piece of "
                   "the picture", _occlude),
         Condition("rotation", "degrees", 0, (0, 5, 10, 20, 30, 45), "picture turned about the target",
-                  lambda image, box, level, rng: _turn(image, box, level, 1.0), whole=True),
+                  lambda image, box, level, rng: _turn(image, box, level, 1.0), moment="scene"),
         Condition("scale", "factor", 1, (0.6, 0.8, 0.9, 1, 1.1, 1.25, 1.6), "picture scaled about the target",
-                  lambda image, box, level, rng: _turn(image, box, 0.0, level), whole=True),
+                  lambda image, box, level, rng: _turn(image, box, 0.0, level), moment="scene"),
         Condition("clutter", "count", 0, (0, 2, 4, 8, 16), "mirrored or turned copies of the target, under noise of "
                   "40 grey levels", _clutter, under=40),
-        Condition("jpeg", "quality", 100, (2, 5, 10, 30, 100), "JPEG quality; 100 stands for not compressed", _jpeg),
+        Condition("jpeg", "quality", 100, (2, 5, 10, 30, 100), "JPEG quality; 100 stands for not compressed", _jpeg,
+                  moment="file"),
         Condition("side", "px", 48, (16, 32, 48, 64, 96, 128), "side of the square template, under noise of 40 grey "
-                  "levels", _nothing, under=40),
+                  "levels", _nothing, under=40, level_is="side"),
         Condition("time", "frames", 0, (0, 4, 8, 16, 32), "frames (0.1 s) between template and search image; "
-                  "only where things move", _nothing),
+                  "only where things move", _nothing, level_is="delay", group=None),
         Condition("absent", "yes or no", 0, (0, 1), "the target is covered: whatever is accepted is a false alarm",
-                  _remove, whole=True),
+                  _remove, moment="scene", removes_target=True, group=None),
     )
 }  # fmt: skip
 """The conditions by name. Add a :class:`Condition` to study one of your own."""

@@ -1,83 +1,68 @@
 """Sweeps: many independent batches, in this process, in several or on a Dask cluster, with the same result.
 
 A *batch* is a few seconds of work: a small frozen object with a ``key``, turned into a table by a pure function.
-The main process writes each finished table to ``OUT/batches/<key>.csv`` and vouches for it in ``OUT/manifest.json``,
-so a sweep that was stopped goes on where it was; at the end it joins them, in the order of the batches, to
-``OUT/trials.csv``. Whoever does the work, it does so with one thread, and hands back text: the same bytes everywhere.
+The main process writes each finished table to ``OUT/batches/<key>.csv``, whole, with a last line that says what it was
+made of, so a sweep that was stopped goes on where it was. At the end it joins them, in the order of the batches, to
+``OUT/trials.csv``. Whoever does the work does it with one thread and hands back text: the same bytes everywhere.
+
+The processes are joblib's. Its ``Memory`` is not used: it keeps results as pickles, and a folder of results that comes
+from elsewhere must not run code. Nor is its Dask backend: it waits for ever for a batch that kills its worker.
 """
 
 from __future__ import annotations
 
-import ctypes
 import hashlib
 import importlib.metadata
 import io
-import itertools
 import json
 import logging
 import os
 import platform
-import re
-import runpy
 import signal
 import sys
 import threading
 import time
-import uuid
 import warnings
-from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import BrokenExecutor, CancelledError
 from contextlib import closing, contextmanager, suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import lru_cache, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+from tqdm import tqdm
 
 from occlib.base.extras import check_extra, import_extra
-from occlib.base.files import folder_hash, load_json, staged_folder, write_file
+from occlib.base.files import file_hash, folder_hash, staged_folder, write_file
 from occlib.base.interrupts import stoppable, uninterrupted
+from occlib.matching.measures import METHODS
+from occlib.matching.registry import load_matchers
+from occlib.plotting import figure_png
+from occlib.recordings import open_recording
+from occlib.study import charts, tables
+from occlib.study.trials import PHOTOGRAPHS, known_names
+from occlib.study.work import Batch, batches, run_batch
 
 if TYPE_CHECKING:
     import pandas as pd
 
+__all__ = ["Sweep", "load_matchers", "run_batches", "sweep", "versions"]
 
-PACKAGE = Path(__file__).resolve().parents[1]
-TRIALS = "trials.csv"
-
-
+LIBRARIES = ("numpy", "scipy", "opencv-python-headless", "scikit-image", "scikit-learn", "numba", "pandas")
 CONNECT_S = 5  # a scheduler that does not answer within this is not there
+PATIENCE_S = 30  # a cluster that has no worker for so long has none
+POLL_S = 0.05  # between two looks of a worker whether the main process still lives
 
-
-PATIENCE_S = 30  # a cluster without a worker for so long has lost them
-
-
-POLL_S = 0.05
-
+Done: TypeAlias = tuple[str, str, str]  # key, table as CSV, and in one line what went wrong
+Work: TypeAlias = "Callable[[Batch], Done]"
 
 _ALONE = threading.Lock()  # number of threads and registered matchers are the process's: one batch at a time in each
 
 
-_LIBRARIES = ("numpy", "scipy", "opencv-python-headless", "scikit-image", "scikit-learn", "numba", "pandas")
-
-
-class Keyed(Protocol):
-    """What a batch must have: a key that is a file name, and a ``repr`` that says all that it stands for."""
-
-    @property
-    def key(self) -> str: ...
-
-
-B = TypeVar("B", bound=Keyed)
-
-
-Done: TypeAlias = tuple[str, str, str]  # key, table as CSV, what went wrong
-
-
-Work: TypeAlias = Callable[[Any], Done]
-
-
 def run_batches(
-    batches: Sequence[B],
-    function: Callable[[B], pd.DataFrame],
+    batches: Sequence[Batch],
+    function: Callable[[Batch], pd.DataFrame],
     out: str | Path,
     *,
     jobs: int = 1,
@@ -91,7 +76,7 @@ def run_batches(
     Parameters
     ----------
     batches
-        Picklable, each with a ``key`` of its own; its ``repr`` is its definition.
+        Picklable, each with a ``key`` of its own, a file name; the ``repr`` is the batch's definition.
     function
         ``function(batch)`` returns a table with the same columns for each batch, and depends on nothing but the
         batch and ``inputs``. Functions from a run file travel to the workers by value.
@@ -111,7 +96,7 @@ def run_batches(
 
     Returns
     -------
-    The trials as they stand in ``trials.csv``.
+    The trials as they stand in ``trials.csv``; ``manifest.json`` beside it says what they were made with.
 
     Raises
     ------
@@ -124,53 +109,36 @@ def run_batches(
     _check(batches, jobs, scheduler)
     for package in ("joblib", "pandas", "psutil", "threadpoolctl"):
         check_extra(package, "study")
-    expected = versions()
-    with _locked(Path(out)), stoppable():
-        store = _Store(Path(out), json.loads(json.dumps({"versions": expected, **(inputs or {})})))
-        texts = store.kept(batches, say=print if progress else lambda line: None)
-        todo = [batch for batch in batches if batch.key not in texts]
-        work = partial(_work, function, expected)
+    folder, made_of = Path(out) / "batches", {**versions(), **(inputs or {})}
+    work = partial(_work, function, versions())
+    with _locked(folder), stoppable():
+        texts, stale = _kept(folder, batches, made_of)
+        if progress and (texts or stale):
+            again = f", {stale} done again (damaged, or made with other code, libraries or options)" if stale else ""
+            print(f"{out}: {len(texts)} of {len(batches)} batches kept{again}")
+        todo = {batch.key: batch for batch in batches if batch.key not in texts}
+        done = _results(work, list(todo.values()), jobs, scheduler)
+        bar = tqdm(total=len(batches), initial=len(texts), unit="batch", disable=None if progress else True)
         try:
-            for key, text in _results(work, todo, len(batches), jobs, scheduler, progress):
-                store.keep(key, text)
-                texts[key] = text
+            with bar, closing(done):
+                for key, text, problem in done:
+                    if problem:
+                        raise ValueError(f"batch {key}: {problem}")
+                    write_file(folder / f"{key}.csv", _sealed(text, todo[key], made_of))
+                    texts[key] = text
+                    bar.update()
         except KeyboardInterrupt:
             kept = f"{len(texts)} of {len(batches)} batches are kept in {out}"
             raise KeyboardInterrupt(f"interrupted; {kept}, the same command goes on from there") from None
-        return _publish(Path(out), {batch.key: texts[batch.key] for batch in batches}, tables)
+        return _publish(Path(out), {batch.key: texts[batch.key] for batch in batches}, made_of, tables)
 
 
-def load_matchers(path: str | Path) -> dict[str, Any]:
-    """Run a file that registers matchers (:func:`occlib.matching.registry.matcher`); those that are new, by name.
-
-    Their functions travel to the workers by value, with whatever of the file they use; modules that they import
-    must be installed there.
-    """
-    from occlib.matching.measures import METHODS
-
-    before = dict(METHODS)
-    try:
-        runpy.run_path(str(path))
-    except (Exception, SystemExit) as error:
-        reason = getattr(error, "strerror", None) if isinstance(error, OSError) else None
-        raise ValueError(f"{path}: {reason or ' '.join(f'{type(error).__name__}: {error}'.split())}") from None
-    found = {name: method for name, method in METHODS.items() if before.get(name) is not method}
-    if not found:
-        raise ValueError(f"{path}: registers no matcher; expected a function under @matching.matcher(...)")
-    return found
-
-
-def _check(batches: Sequence[Keyed], jobs: int, scheduler: str | None) -> None:
-    keys = [batch.key for batch in batches]
-    if not keys:
+def _check(batches: Sequence[Batch], jobs: int, scheduler: str | None) -> None:
+    if not batches:
         raise ValueError("batches: expected one or more, got none")
-    if wrong := [key for key in keys if not re.fullmatch(r"[A-Za-z0-9_][A-Za-z0-9_.,=+-]{0,199}", key)]:
-        raise ValueError(f"batch {wrong[0]!r}: expected a key that is a file name")
-    if len({key.casefold() for key in keys}) < len(keys):
-        raise ValueError(f"batch {max(keys, key=keys.count)!r}: expected a key of its own")
     if not isinstance(jobs, int) or jobs < 1:
         raise ValueError(f"jobs: expected a whole number >= 1, got {jobs}")
-    if scheduler is not None and not re.fullmatch(r"(tcp|tls|wss?)://\S+:\d+", scheduler):
+    if scheduler is not None and "://" not in scheduler:
         raise ValueError(f"scheduler: expected an address such as tcp://127.0.0.1:8786, got {scheduler!r}")
     if scheduler is not None and jobs > 1:
         raise ValueError("jobs: the workers of a scheduler are its own; give either jobs or a scheduler")
@@ -179,119 +147,72 @@ def _check(batches: Sequence[Keyed], jobs: int, scheduler: str | None) -> None:
 @lru_cache(maxsize=1)
 def versions() -> dict[str, str]:
     """The code and the libraries of this process: results of others are not mixed with its own."""
-    found = {"occlib": folder_hash(PACKAGE, "*.py"), "python": platform.python_version()}
+    found = {"occlib": folder_hash(Path(__file__).resolve().parents[1], "*.py"), "python": platform.python_version()}
     found["platform"] = f"{platform.system()} {platform.machine()}"
-    for library in _LIBRARIES:
+    for library in LIBRARIES:
         with suppress(importlib.metadata.PackageNotFoundError):
             found[library] = importlib.metadata.version(library)
     return found
 
 
-def _differing(one: Mapping[str, Any], other: Mapping[str, Any]) -> list[str]:
-    return [name for name in {**one, **other} if one.get(name) != other.get(name)]
-
-
 @contextmanager
-def _locked(out: Path) -> Iterator[None]:
-    """The folder for the finished batches, for this sweep alone."""
-    folder, made = out / "batches", not out.exists()
+def _locked(folder: Path) -> Iterator[None]:
+    """A folder for this sweep alone, made where it is missing, and then removed again if it stays empty."""
+    made = [path for path in (folder, folder.parent) if not path.exists()]
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise ValueError(f"{folder}: cannot write ({error.strerror})") from None
-    handle = _lock(folder)
+    handle = None
     try:
+        if sys.platform != "win32":
+            import fcntl
+
+            handle = os.open(folder, os.O_RDONLY)
+            try:
+                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)  # until it is closed, if only by a kill
+            except BlockingIOError:
+                raise ValueError(
+                    f"{folder.parent}: another sweep is running there; wait for it, or give --out"
+                ) from None
+            except OSError:
+                pass  # some network file systems cannot lock folders: then the user takes care
         yield
     finally:
-        for empty in (folder, out) if made else (folder,):
+        for empty in made:
             with suppress(OSError):  # rmdir takes empty folders only
                 empty.rmdir()
         if handle is not None:
             os.close(handle)
 
 
-def _lock(folder: Path) -> int | None:
-    """A handle that keeps other sweeps out until it is closed, if only by a kill: no lock file stays behind."""
-    if sys.platform == "win32":
-        return None
-    import fcntl
-
-    handle = os.open(folder, os.O_RDONLY)
-    try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        os.close(handle)
-        raise ValueError(f"{folder.parent}: another sweep is running there; wait for it, or give --out") from None
-    except OSError:
-        pass  # some network file systems cannot lock folders: then the user takes care
-    return handle
+def _sealed(text: str, batch: Batch, made_of: Mapping[str, Any]) -> str:
+    """A table with a last line that vouches for it: made of what, and its hash."""
+    seal = {"batch": repr(batch), **made_of, "sha256": hashlib.sha256(text.encode()).hexdigest()}
+    return f"{text}# {json.dumps(seal)}\n"
 
 
-@dataclass
-class _Store:
-    """Finished batches on disk, and the manifest that vouches for each: made of what, and the file's hash."""
-
-    out: Path
-    inputs: dict[str, Any]
-    marks: dict[str, str] = field(default_factory=dict)
-    vouched: dict[str, dict[str, str]] = field(default_factory=dict)
-
-    def kept(self, batches: Sequence[Keyed], say: Callable[[str], object]) -> dict[str, str]:
-        """The tables that are there, whole and made of the same; in one line what is not."""
-        self.marks = {b.key: _hash(json.dumps([repr(b), self.inputs], sort_keys=True).encode()) for b in batches}
-        before, reasons = self._load(), dict[str, int]()
-        texts: dict[str, str] = {}
-        for key, mark in self.marks.items():
-            file, entry = self._file(key), self.vouched.get(key)
-            content = file.read_bytes() if file.is_file() else None
-            if entry is None or content is None:
-                continue
-            if entry["made_of"] != mark:
-                names = ", ".join(before) or "batch definition"
-                reasons[f"other {names}"] = reasons.get(f"other {names}", 0) + 1
-            elif entry["sha256"] != _hash(content):
-                reasons["damaged"] = reasons.get("damaged", 0) + 1
+def _kept(folder: Path, batches: Sequence[Batch], made_of: Mapping[str, Any]) -> tuple[dict[str, str], int]:
+    """The tables that are there, whole and made of the same, by the batches' keys; and how many others are there."""
+    texts, stale = {}, 0
+    for batch in batches:
+        with suppress(FileNotFoundError):
+            content = (folder / f"{batch.key}.csv").read_bytes().decode(errors="replace")
+            text = content.rpartition("\n# ")[0] + "\n"
+            if content == _sealed(text, batch, made_of):
+                texts[batch.key] = text
             else:
-                texts[key] = content.decode()
-        again = [f"{count} done again ({reason})" for reason, count in reasons.items()]
-        if texts or again:
-            say(", ".join([f"{self.out}: {len(texts)} of {len(batches)} batches kept", *again]))
-        return texts
-
-    def _load(self) -> list[str]:
-        """Read the manifest and return which of the inputs are not those of now."""
-        with suppress(
-            ValueError, TypeError, KeyError, AttributeError
-        ):  # none there, or damaged: it vouches for nothing
-            manifest = load_json(self.out / "manifest.json")
-            found = {k: {n: str(v[n]) for n in ("made_of", "sha256")} for k, v in manifest["batches"].items()}
-            now, then = ({**i, **i["versions"], "versions": 0} for i in (self.inputs, manifest["inputs"]))
-            self.vouched = found
-            return _differing(now, then)
-        return []
-
-    def keep(self, key: str, text: str) -> None:
-        """Write a finished table, and then the manifest: what it vouches for is there."""
-        content = text.encode()
-        write_file(self._file(key), content)
-        self.vouched[key] = {"made_of": self.marks[key], "sha256": _hash(content)}
-        manifest = {"inputs": self.inputs, "batches": self.vouched}
-        write_file(self.out / "manifest.json", json.dumps(manifest, indent=1) + "\n")
-
-    def _file(self, key: str) -> Path:
-        return self.out / "batches" / f"{key}.csv"
-
-
-def _hash(content: bytes) -> str:
-    return hashlib.sha256(content).hexdigest()
+                stale += 1
+    return texts, stale
 
 
 def _publish(
-    out: Path, texts: Mapping[str, str], tables: Callable[[pd.DataFrame], Mapping[str, pd.DataFrame]] | None
+    out: Path,
+    texts: Mapping[str, str],
+    made_of: Mapping[str, Any],
+    tables: Callable[[pd.DataFrame], Mapping[str, pd.DataFrame]] | None,
 ) -> pd.DataFrame:
     """Join the tables and write what is made of them: all files or none."""
-    import pandas as pd
-
     heads = {key: text.partition("\n")[0] for key, text in texts.items()}
     first = next(iter(heads.values()))
     if odd := [key for key, head in heads.items() if head != first]:
@@ -300,7 +221,8 @@ def _publish(
     # Only an empty field is missing: a condition may well be called "none". Newer pandas reads floats exactly anyway.
     exact: Any = {} if tuple(map(int, pd.__version__.split(".")[:2])) >= (3, 1) else {"float_precision": "round_trip"}
     trials = pd.read_csv(io.StringIO(joined), keep_default_na=False, na_values=[""], **exact)
-    contents = {TRIALS: joined} | {name: _csv(table) for name, table in (tables(trials) if tables else {}).items()}
+    contents = {"trials.csv": joined, "manifest.json": json.dumps(made_of, indent=1) + "\n"}
+    contents |= {name: _csv(table) for name, table in (tables(trials) if tables else {}).items()}
     with uninterrupted(), staged_folder(out) as stage:
         for name, text in contents.items():
             write_file(stage / name, text)
@@ -311,105 +233,52 @@ def _csv(table: pd.DataFrame) -> str:
     return str(table.to_csv(index=False, lineterminator="\n"))
 
 
-def _work(function: Callable[[Any], pd.DataFrame], expected: Mapping[str, str], batch: Keyed) -> Done:
-    """One batch, here or in a worker. Text comes back, of errors too: no exception fails to travel."""
+def _work(function: Callable[[Batch], pd.DataFrame], expected: Mapping[str, str], batch: Batch) -> Done:
+    """One batch, here or in a worker, with one thread: its table, or in one line what went wrong."""
     try:
-        if other := _differing(versions(), expected):
+        if other := [name for name, version in versions().items() if version != expected.get(name)]:
             raise ValueError(f"the worker has another {', '.join(other)} than this process")
-        _keep_freed_memory()
-        with _ALONE, _one_thread():
+        with (
+            _ALONE,
+            import_extra("threadpoolctl", "study").threadpool_limits(1),
+        ):  # sums in the same order, and no two workers for one core
             return batch.key, _csv(function(batch)), ""
-    except (Exception, SystemExit) as error:
-        return batch.key, "", " ".join(f"{type(error).__name__}: {error}".split())
+    except (Exception, SystemExit) as error:  # text comes back: no exception fails to travel
+        return batch.key, "", _one_line(error)
 
 
-@lru_cache(maxsize=1)
-def _keep_freed_memory() -> None:
-    """Tell the C library of Linux not to return freed arrays to the system, only to ask for them again.
-
-    Dask makes its workers return whatever is free above 64 KiB, and the study then takes twice its time.
-    """
-    with suppress(OSError, AttributeError):
-        c_library = ctypes.CDLL("libc.so.6")
-        c_library.mallopt(-1, 1 << 28)  # M_TRIM_THRESHOLD
-        c_library.mallopt(-3, 1 << 25)  # M_MMAP_THRESHOLD, the largest it takes
+def _one_line(error: BaseException) -> str:
+    return " ".join(f"{type(error).__name__}: {error}".split())[:300]
 
 
-@contextmanager
-def _one_thread() -> Iterator[None]:
-    """One thread for OpenCV, BLAS, OpenMP and numba: sums in the same order, and no two workers for one core."""
-    import cv2
-    import numba
-
-    threadpool_limits = import_extra("threadpoolctl", "study").threadpool_limits
-    pools = [(cv2.setNumThreads, cv2.getNumThreads()), (numba.set_num_threads, numba.get_num_threads())]
-    try:
-        for limit, _ in pools:
-            limit(1)
-        with threadpool_limits(1):
-            yield
-    finally:
-        for limit, threads in pools:
-            limit(threads)
+def _results(work: Work, batches: Sequence[Batch], jobs: int, scheduler: str | None) -> Generator[Done, None, None]:
+    """What becomes of each batch, as soon as it is known."""
+    if scheduler and batches:
+        return _on_cluster(work, batches, scheduler)
+    if min(jobs, len(batches)) > 1:
+        return _in_processes(work, batches, min(jobs, len(batches)))
+    return (work(batch) for batch in batches)
 
 
-def _results(
-    work: Work, todo: Sequence[Keyed], total: int, jobs: int, scheduler: str | None, progress: bool
-) -> Iterator[tuple[str, str]]:
-    """Key and table of each batch as it is done, with a bar; ``ValueError`` at the first that failed."""
-    from tqdm import tqdm
-
-    jobs = min(jobs, len(todo))
-    done: Generator[Done, None, None]
-    if scheduler is not None and todo:
-        done = _on_cluster(work, todo, scheduler)
-    else:
-        done = _in_processes(work, todo, jobs) if jobs > 1 else (work(batch) for batch in todo)
-    bar = tqdm(total=total, initial=total - len(todo), unit="batch", disable=None if progress else True)
-    with bar, closing(done):
-        for key, text, problem in done:
-            if problem:
-                raise ValueError(f"batch {key}: {problem}")
-            yield key, text
-            bar.update()
-
-
-def _in_processes(work: Work, batches: Sequence[Keyed], jobs: int) -> Generator[Done, None, None]:
+def _in_processes(work: Work, batches: Sequence[Batch], jobs: int) -> Generator[Done, None, None]:
     from joblib import Parallel, delayed, parallel_config
     from joblib.externals.loky import get_reusable_executor
-    from joblib.externals.loky.process_executor import BrokenProcessPool
 
-    results: Any = None
+    done: Any = None
     try:
-        with (
-            _quiet_tracker(),
-            parallel_config("loky", inner_max_num_threads=1, initializer=_begin_worker, initargs=(os.getpid(),)),
-        ):
+        with parallel_config("loky", initializer=_begin_worker, initargs=(os.getpid(),)):
             parallel = Parallel(n_jobs=jobs, batch_size=1, max_nbytes=None, return_as="generator_unordered")
-            results = parallel(delayed(work)(batch) for batch in batches)
-        for done in results:  # noqa: UP028 - `yield from` would close the results while the warnings are still on
-            yield done
-    except BrokenProcessPool:
+            done = parallel(delayed(work)(batch) for batch in batches)
+        for one in done:  # noqa: UP028 - `yield from` would close it while joblib's warnings are still on
+            yield one
+    except BrokenExecutor:
         raise ValueError("a worker was killed or crashed (out of memory?); fewer jobs need less of it") from None
     finally:
         with uninterrupted(), warnings.catch_warnings():
             warnings.simplefilter("ignore")  # joblib would tell of the batches that are not wanted any more
-            if results is not None:
-                results.close()
+            if done is not None:
+                done.close()
             get_reusable_executor().shutdown(wait=True, kill_workers=True)
-
-
-@contextmanager
-def _quiet_tracker() -> Iterator[None]:
-    """Joblib's tracker, a process of its own, tidies up after killed workers; it need not warn that it does."""
-    before = os.environ.get("PYTHONWARNINGS")
-    os.environ["PYTHONWARNINGS"] = ",".join(filter(None, [before, "ignore:resource_tracker:UserWarning"]))
-    try:
-        yield
-    finally:
-        os.environ.pop("PYTHONWARNINGS")
-        if before is not None:
-            os.environ["PYTHONWARNINGS"] = before
 
 
 def _begin_worker(parent: int) -> None:
@@ -426,7 +295,7 @@ def _end_with(parent: int, adopted_by: int) -> None:
     os._exit(1)
 
 
-def _on_cluster(work: Work, batches: Sequence[Keyed], scheduler: str) -> Generator[Done, None, None]:
+def _on_cluster(work: Work, batches: Sequence[Batch], scheduler: str) -> Generator[Done, None, None]:
     distributed = import_extra("distributed", "dask")
     for name in ("distributed", "distributed.client"):  # what goes wrong is told here, in one line
         logging.getLogger(name).setLevel(logging.CRITICAL)
@@ -434,42 +303,98 @@ def _on_cluster(work: Work, batches: Sequence[Keyed], scheduler: str) -> Generat
         client = distributed.Client(scheduler, timeout=CONNECT_S, set_as_default=False)
     except Exception:  # refused, timed out, or something else at that address
         raise ValueError(f"scheduler {scheduler!r}: no answer within {CONNECT_S} s") from None
-    waiting: dict[Any, Keyed] = {}
     try:
-        for batch in batches:  # a new key each time: a scheduler answers a known one with the result of another sweep
-            waiting[client.submit(work, batch, key=f"{batch.key}-{uuid.uuid4().hex}")] = batch
-        while waiting:
-            for future in _next_finished(client, list(waiting), scheduler):
-                yield _received(future, waiting.pop(future), scheduler)
+        client.wait_for_workers(1, timeout=PATIENCE_S)
+        futures = client.map(work, batches, pure=False)  # pure: it would answer with what another sweep computed
+        keys = {future: batch.key for future, batch in zip(futures, batches, strict=True)}
+        for future in distributed.as_completed(futures, loop=client.loop):
+            problem = future.exception()  # the cluster has given the batch up, or cannot load it
+            yield (keys[future], "", _one_line(problem)) if problem else future.result()
+    except (CancelledError, distributed.CancelledError):
+        raise ValueError(f"scheduler {scheduler!r}: the connection was lost") from None
+    except TimeoutError:
+        raise ValueError(
+            f"scheduler {scheduler!r}: no worker for {PATIENCE_S} s; start some with dask worker"
+        ) from None
     finally:
         with uninterrupted(), suppress(Exception):  # a client that lost its scheduler cannot even say good-bye
-            client.cancel(list(waiting))
-        with uninterrupted(), suppress(Exception):
-            client.close(timeout=CONNECT_S)
+            client.close(timeout=CONNECT_S)  # which cancels what is not finished
 
 
-def _next_finished(client: Any, futures: Sequence[Any], scheduler: str) -> list[Any]:
-    """Those of the futures that are done, one or more; ``ValueError`` when no worker is left to do them."""
-    seen = time.monotonic()
-    for tick in itertools.count():
-        if done := [future for future in futures if future.done()]:
-            return done
-        time.sleep(POLL_S)
-        if tick % round(1 / POLL_S) == 0:
-            with suppress(OSError):  # the client is connecting again; its futures are cancelled if it fails
-                seen = time.monotonic() if client.nthreads() else seen
-        if time.monotonic() - seen > PATIENCE_S:
-            raise ValueError(f"scheduler {scheduler!r}: no worker for {PATIENCE_S} s; start some with dask worker")
-    raise AssertionError
+# --- the whole study ----------------------------------------------------------------------------------
+@dataclass(frozen=True)
+class Sweep:
+    """What :func:`sweep` found, and the names of the files that it wrote into ``out``."""
+
+    out: Path
+    trials: pd.DataFrame
+    summary: pd.DataFrame
+    thresholds: pd.DataFrame
+    verdicts: pd.DataFrame
+    files: tuple[str, ...]
 
 
-def _received(future: Any, batch: Keyed, scheduler: str) -> Done:
-    """What a worker sent, or why it could not: it died, or it cannot load the batch."""
-    with suppress(Exception):
-        if future.status == "finished":
-            key, text, problem = future.result(CONNECT_S)
-            return str(key), str(text), str(problem)
-        if future.status == "error":
-            problem = future.exception(CONNECT_S)
-            return batch.key, "", " ".join(f"{type(problem).__name__}: {problem}".split())[:300]
-    raise ValueError(f"scheduler {scheduler!r}: the connection was lost")
+def sweep(
+    out: str | Path,
+    preset: str = "full",
+    *,
+    seeds: Iterable[int] | None = None,
+    sides: Iterable[int] | None = None,
+    conditions: Iterable[str] | None = None,
+    sources: Iterable[str] | None = None,
+    methods: Iterable[str] | None = None,
+    matchers: str | Path | None = None,
+    jobs: int = 1,
+    scheduler: str | None = None,
+    progress: bool = True,
+) -> Sweep:
+    """The study in full, kept on disk: goes on where it was stopped.
+
+    Parameters
+    ----------
+    out
+        A folder. Gets ``trials.csv`` (columns: :func:`run_batch`), ``summary.csv`` (:func:`occlib.study.tables.summarise`),
+        ``thresholds.csv``, ``verdicts.csv``, ``manifest.json`` (what they were made with), ``verdicts.png``, ``recall.png``
+        unless each condition has one level only, and ``batches/``, the finished work.
+    preset, seeds, sides, conditions, sources
+        As for :func:`batches`; by default those of the preset.
+    methods
+        Names of measures, by default all.
+    matchers
+        A file that registers measures of your own, see :func:`occlib.matching.registry.load_matchers`. What it imports is
+        not watched for changes.
+    jobs, scheduler, progress
+        As for :func:`occlib.study.sweeps.run_batches`. The results do not depend on them.
+
+    Raises
+    ------
+    ValueError, KeyboardInterrupt
+        As :func:`batches` and :func:`occlib.study.sweeps.run_batches`.
+    """
+    own = load_matchers(matchers) if matchers else {}
+    names = known_names(METHODS if methods is None else methods, METHODS, "methods")
+    work = batches(preset, seeds=seeds, sides=sides, conditions=conditions, sources=sources)
+    recorded = sorted({batch.source for batch in work} - set(PHOTOGRAPHS))
+    inputs = {
+        "methods": names,
+        "matchers": file_hash(Path(matchers)) if matchers else "",
+        "recordings": {name: folder_hash(open_recording(name).path) for name in recorded},
+    }
+    made: dict[str, pd.DataFrame] = {}
+
+    def tables_of(table: pd.DataFrame) -> dict[str, pd.DataFrame]:
+        made.update({"summary": tables.summarise(table), "thresholds": tables.thresholds(table)})
+        made["verdicts"] = tables.verdicts(table)
+        return {f"{name}.csv": frame for name, frame in made.items()}
+
+    function = partial(run_batch, methods=tuple(own.get(name, name) for name in names))
+    options: dict[str, Any] = {"jobs": jobs, "scheduler": scheduler, "progress": progress}
+    found = run_batches(work, function, out, inputs=inputs, tables=tables_of, **options)
+    pictures = {"verdicts.png": charts.verdict_figure(made["verdicts"])}
+    (Path(out) / "recall.png").unlink(missing_ok=True)
+    if made["summary"].groupby("condition")["level"].nunique().max() > 1:  # one level a condition draws no curve
+        pictures["recall.png"] = charts.level_curves(made["summary"])
+    for name, picture in pictures.items():
+        write_file(Path(out) / name, figure_png(picture))
+    files = ("trials.csv", *(f"{name}.csv" for name in made), *pictures)
+    return Sweep(Path(out), found, **made, files=files)

@@ -21,18 +21,13 @@ from scipy import integrate
 
 from occlib.base.arrays import FloatArray
 from occlib.base.extras import pandas as pd
-from occlib.base.intervals import _log_interval, stratified_interval, t_interval, wilson_interval
-from occlib.study.conditions import CONDITIONS
+from occlib.base.intervals import log_interval, stratified_interval, t_interval, wilson_interval
+from occlib.study.conditions import CHANGING_LIGHT, CONDITIONS, CONSTANT_LIGHT
 from occlib.study.trials import WRONG, known_names
 
 RULES = ("fixed", "default", "otsu", "mad")
 
-
-LIGHT = ("gain", "offset", "gradient")
-
-
 LENGTHS = ("rmse_px", "rmse_cm")
-
 
 BY = ("condition", "level", "method")
 
@@ -59,7 +54,7 @@ def summarise(table: pd.DataFrame, by: Sequence[str] = BY) -> pd.DataFrame:
     groups = per_seed.groupby(level=by, sort=False)
     for name in per_seed:
         ends = np.array(
-            [_log_interval(group[name]) if name in LENGTHS else t_interval(group[name]) for _, group in groups]
+            [log_interval(group[name]) if name in LENGTHS else t_interval(group[name]) for _, group in groups]
         )
         result = result.assign(**{str(name): ends[:, 0], f"{name}_low": ends[:, 1], f"{name}_high": ends[:, 2]})
     return result.reset_index()
@@ -103,7 +98,7 @@ def fixed_thresholds(table: pd.DataFrame) -> dict[str, float]:
     Halfway between the last score that it accepts and the next one: the most room for a disturbance on either
     side. Without a next one, the last accepted score itself; NaN without clean trials.
     """
-    undisturbed = {name: np.nan if condition.under else condition.clean for name, condition in CONDITIONS.items()}
+    undisturbed = {name: c.clean for name, c in CONDITIONS.items() if c.is_undisturbed(c.clean)}
     clean = table[table["condition"].map(undisturbed) == table["level"]]
     clean = clean.drop_duplicates(["source", "seed", "side", "method"])
     limits = dict.fromkeys(table["method"].unique(), np.nan)
@@ -164,11 +159,12 @@ def precision_recall(table: pd.DataFrame, by: Sequence[str] = ("condition", "met
 def areas(table: pd.DataFrame) -> pd.DataFrame:
     """One figure of merit, 0 to 1, higher is better: ``area`` for each condition, method, source and seed.
 
-    The area under recall against level, over the range of levels (trapezoids), averaged over sides. For ``absent`` the
-    share of trials in which the default threshold accepts nothing (specificity).
+    The area under recall against level, over the range of levels (trapezoids), averaged over sides. For conditions that
+    remove the target the share of trials in which the default threshold accepts nothing (specificity).
     """
     unit = ["condition", "method", "source", "seed"]
-    here = table[table["present"] & (table["condition"] != "absent")]
+    removing = [name for name, condition in CONDITIONS.items() if condition.removes_target]
+    here = table[table["present"] & ~table["condition"].isin(removing)]
     recall = here.groupby([*unit, "level"], sort=False)["found"].mean().reset_index()
     rows = []
     group: pd.DataFrame
@@ -186,8 +182,8 @@ def areas(table: pd.DataFrame) -> pd.DataFrame:
 def verdicts(table: pd.DataFrame) -> pd.DataFrame:
     """Which measure is best under each condition, and which cannot be told from it: the table of the study.
 
-    One row a condition, then *constant light* and *changing light* (the mean over the conditions without and
-    with gain, offset and gradient; ``time`` and ``absent`` left out), then the paper's claim about SSD. Columns:
+    One row a condition, then *constant light* and *changing light* (the means over the conditions of these groups),
+    then the paper's claim about SSD. Columns:
     ``criterion``; ``best``; ``tied``, the measures whose 95 % interval of the difference to the best, paired by
     target, contains 0 (all of them with one seed); ``area, low, high`` of the best (:func:`stratified_interval`); one
     column a measure; ``statement``.
@@ -198,13 +194,12 @@ def verdicts(table: pd.DataFrame) -> pd.DataFrame:
     wide = wide[list(dict.fromkeys(table["method"]))]
     names = list(dict.fromkeys(table["condition"]))
     groups = {name: wide.loc[name] for name in names}
-    steady = [name for name in names if name not in (*LIGHT, "time", "absent")]
-    for title, members in (("constant light", steady), ("changing light", [name for name in names if name in LIGHT])):
-        if members:
+    for title in (CONSTANT_LIGHT, CHANGING_LIGHT):
+        if members := [name for name in names if name in CONDITIONS and CONDITIONS[name].group == title]:
             groups[title] = wide.loc[members].groupby(level=["source", "seed"]).mean()
     rows = [_verdict(name, values) for name, values in groups.items()]
-    if "ssd" in wide and {"constant light", "changing light"} <= set(groups):
-        constant, changing = groups["constant light"]["ssd"], groups["changing light"]["ssd"]
+    if "ssd" in wide and {CONSTANT_LIGHT, CHANGING_LIGHT} <= set(groups):
+        constant, changing = groups[CONSTANT_LIGHT]["ssd"], groups[CHANGING_LIGHT]["ssd"]
         drop, low, high = stratified_interval(constant - changing)
         told = "no difference shown"
         if low > 0 or high < 0:
@@ -229,6 +224,7 @@ def _verdict(name: str, values: pd.DataFrame) -> dict[str, Any]:
     rest = [str(m) for m in values.columns if m != best and m not in tied]
     text = f"{best} best" + (f", {', '.join(tied)} not told from it" if tied else "") + (
         f"; {', '.join(rest)} worse" if rest else "; no difference shown")  # fmt: skip
-    criterion = "specificity" if name == "absent" else "area under recall"
+    gone = name in CONDITIONS and CONDITIONS[name].removes_target
+    criterion = "specificity" if gone else "area under recall"
     return {"condition": name, "criterion": criterion, "best": best, "tied": ", ".join(tied), "area": area, "low": low,
             "high": high, **dict(zip(map(str, means.index), means, strict=True)), "statement": text}  # fmt: skip

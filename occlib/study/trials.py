@@ -31,35 +31,17 @@ Methods: TypeAlias = Iterable[matching.Method | str] | None
 
 
 SEARCH_PX = (320, 240)  # width, height of the search image
-
-
 SENSOR_NOISE = 5.0  # grey levels, standard deviation: no camera takes the same picture twice
-
-
 SIDES_PX = (16, 128)  # smallest and largest template
-
-
 ROOM_PX = 66  # from a target to the border of its picture: half of the largest template, and the tolerance of rounding
-
-
-TEXTURE_PX = 48
-
-
+TEXTURE_PX = 48  # side of the square over which texture is measured: that of the usual template
 WRONG = 5  # wrong optima kept for each trial: false alarms are counted up to here
-
-
-PEAK_CAP = 100.0
-
+PEAK_CAP = 100.0  # largest peak ratio: the second best place of a perfect match costs infinitely more
+HIDDEN_MAX = 0.1  # share of a target that may be hidden in the frames that it is cut from and looked for
 
 PHOTOGRAPHS = ("camera", "astronaut", "coins", "brick", "chelsea", "coffee", "china", "flower")
-
-
-TIMED = ("four_robots", "ufes-lab")
-
-
+TIMED = ("four_robots", "ufes-lab")  # recordings in which targets move
 SHIPPED = (*PHOTOGRAPHS, "robot", "four_robots")
-
-
 SOURCES = (*SHIPPED, "ufes-lab")
 
 
@@ -122,20 +104,20 @@ def _recorded_views(source: str, rng: np.random.Generator) -> dict[int, View]:
     """A robot or a person that nothing hides, now and after each delay, with room around it in the picture."""
     recording = recordings.open_recording(source)
     truth = formats.load_truth(recording.path / "truth.json").frames
-    things = {
-        (camera, frame, true.id): true
+    targets = {
+        (camera, frame, target.id): target
         for frame in truth
-        for true in truth[frame]
+        for target in truth[frame]
         for camera in recording.rig.cameras
-        if true.hidden_fraction.get(camera, 0) <= 0.1 and true.state.get(camera, "visible") == "visible"
+        if target.hidden_fraction.get(camera, 0) <= HIDDEN_MAX and target.state.get(camera, "visible") == "visible"
     }
-    delays = [int(level) for level in CONDITIONS["time"].levels] if source in TIMED else [0]
-    places = [key for key in sorted(things) if all((key[0], key[1] + d, key[2]) in things for d in delays)]
+    delays = _delays() if source in TIMED else [0]
+    places = [key for key in sorted(targets) if all((key[0], key[1] + d, key[2]) in targets for d in delays)]
     zoom = 2 if source == "ufes-lab" else 1
     for i in rng.permutation(len(places)):
-        name, frame, thing = places[i]
-        camera, keys = recording.rig[name], [(name, frame + d, thing) for d in delays]
-        centres = np.array([_centre(source, camera, key[1], thing, things[key]) for key in keys])
+        name, frame, target = places[i]
+        camera, keys = recording.rig[name], [(name, frame + d, target) for d in delays]
+        centres = np.array([_centre(source, camera, key[1], target, targets[key]) for key in keys])
         size = np.array(camera.size)
         if np.all((centres >= zoom * ROOM_PX) & (centres < size - zoom * ROOM_PX)):
             break
@@ -150,15 +132,20 @@ def _recorded_views(source: str, rng: np.random.Generator) -> dict[int, View]:
     return views
 
 
+def _delays() -> list[int]:
+    """Frames after which the conditions look at a target again."""
+    return sorted({condition.delay(level) for condition in CONDITIONS.values() for level in condition.levels})
+
+
 @lru_cache(maxsize=2)
 def _scene(source: str) -> lab.Scene:
     return lab.load_scene(source)
 
 
-def _centre(source: str, camera: Camera, frame: int, name: str, thing: formats.TrueObject) -> FloatArray:
+def _centre(source: str, camera: Camera, frame: int, name: str, target: formats.TrueObject) -> FloatArray:
     """Middle of the silhouette's bounding box, or the floor point of hand-marked truth, ``(x, y)`` in px."""
     if source == "ufes-lab":
-        return camera.floor_to_pixels([[thing.x, thing.y]])[0]
+        return camera.floor_to_pixels([[target.x, target.y]])[0]
     scene = _scene(source)
     robot = next(o for o in scene.objects if o.id == name)
     depth, (rows, columns) = lab.depth_image(scene, scene.rig[camera.name], robot, frame)
@@ -192,16 +179,29 @@ def make_trial(source: str, seed: int, condition: str = "noise", level: float | 
     """The trial of a seed: the same target at the same place of the search image for every condition and level.
 
     The search image is never the template's own picture again: it is displaced by a fraction of a pixel and carries
-    the noise of a sensor, 5 grey levels, or of the condition's ``under``. What the light does comes before the
-    noise, and compression after it.
-    ``level=None`` is the clean one; ``side`` in px is ignored by the condition ``"side"``, whose level it is.
-    Raises ``ValueError`` for an unknown name, a level of ``"time"`` that was not filmed, or a side out of range.
+    the noise of a sensor, 5 grey levels, or of the condition's ``under``.
+
+    Parameters
+    ----------
+    source
+        One of :data:`SOURCES`.
+    seed
+        Which target, 0 to 2^32.
+    condition, level
+        What disturbs the search, and how much; ``None`` is the clean level.
+    side
+        Of the template, 16 to 128 px, unless the level is the side.
+
+    Raises
+    ------
+    ValueError
+        An unknown name, a delay that was not filmed, or a side out of range.
     """
-    (what,) = known_names([condition], CONDITIONS, "condition")
+    (name,) = known_names([condition], CONDITIONS, "condition")
     known_names([source], SOURCES, "source")
-    chosen = CONDITIONS[what]
+    chosen = CONDITIONS[name]
     level = chosen.clean if level is None else level
-    side, delay = (int(level), 0) if what == "side" else (side, int(level) if what == "time" else 0)
+    side, delay = chosen.side(level, side), chosen.delay(level)
     views = _views(source, whole_numbers([seed], "seeds", 0, 2**32)[0])
     whole_numbers([side], "sides", *SIDES_PX)
     if delay not in views:
@@ -212,22 +212,19 @@ def make_trial(source: str, seed: int, condition: str = "noise", level: float | 
     fraction = _stream(seed, source, "fraction").uniform(-0.5, 0.5, 2)
     truth = view.centre - start.centre + cut + fraction
     x, y = np.rint(truth - fraction).astype(int).tolist()
-    rng, image = _stream(seed, source, what), view.grey
-    if chosen.whole and level != chosen.clean:
-        image = chosen.apply(image, (x, y, side, side), level, rng)
+    rng = _stream(seed, source, name)
+    image = chosen.degrade("scene", view.grey, (x, y, side, side), level, rng)
     image = _displaced(image, fraction)
     free = np.subtract(SEARCH_PX, side)
     inside = np.rint(_stream(seed, source, "place").random(2) * free).astype(int)
     left, top = np.clip((x, y) - inside, 0, np.maximum(np.subtract(image.shape[1::-1], SEARCH_PX), 0)).tolist()
     image = np.ascontiguousarray(image[top : top + SEARCH_PX[1], left : left + SEARCH_PX[0]])
     noise = _stream(seed, source, "sensor").standard_normal(image.shape) * np.hypot(SENSOR_NOISE, chosen.under)
-    if what == "jpeg":
-        image = _noisy(image, noise)
-    if not chosen.whole and level != chosen.clean:
-        image = chosen.apply(image, (x - left, y - top, side, side), level, rng)
-    if what != "jpeg":
-        image = _noisy(image, noise)
-    gone = what == "absent" and level != chosen.clean
+    box = x - left, y - top, side, side
+    image = chosen.degrade("light", image, box, level, rng)
+    image = np.clip(np.rint(image + noise), 0, 255).astype(np.uint8)
+    image = chosen.degrade("file", image, box, level, rng)
+    gone = chosen.removes_target and level != chosen.clean
     return Trial(image, template, None if gone else truth - (left, top), view.cm_per_px)
 
 
@@ -239,10 +236,6 @@ def _displaced(image: Image, fraction: FloatArray) -> Image:
     return np.clip(np.rint(cv2.sepFilter2D(image, cv2.CV_64F, across, down)), 0, 255).astype(np.uint8)
 
 
-def _noisy(image: Image, noise: FloatArray) -> Image:
-    return np.clip(np.rint(image + noise), 0, 255).astype(np.uint8)
-
-
 @contextmanager
 def registered(methods: Methods) -> Iterator[list[matching.Method]]:
     """The methods, known to :mod:`occlib.matching.search` meanwhile: a worker process has not seen the user's own."""
@@ -250,24 +243,24 @@ def registered(methods: Methods) -> Iterator[list[matching.Method]]:
     names = [method if isinstance(method, str) else method.name for method in given]
     own = {method.name: method for method in given if not isinstance(method, str)}
     known_names(names, {**matching.METHODS, **own}, "method")
-    before = {name: matching.METHODS.get(name) for name in own if matching.METHODS.get(name) is not own[name]}
+    previous = {name: matching.METHODS.get(name) for name in own if matching.METHODS.get(name) is not own[name]}
     matching.METHODS.update(own)
     try:
         yield [matching.METHODS[name] for name in names]
     finally:
-        for name, method in before.items():
+        for name, method in previous.items():
             matching.METHODS.pop(name) if method is None else matching.METHODS.update({name: method})
 
 
 def measured_trial(trial: Trial, method: matching.Method, tau_px: float) -> dict[str, Any]:
-    """Everything that one similarity image tells."""
+    """A row of the study: everything that one similarity image tells (columns: :func:`occlib.study.work.run_batch`)."""
     score = matching.similarity(trial.image, trial.template, method.name)
     cost = -score if method.higher_is_better else score
     perfect = -method.bounds[1] if method.higher_is_better else method.bounds[0]
     everything = float(score.min() if method.higher_is_better else score.max())
     places = matching.optima(score, method.name, everything, "nms", size=trial.template.shape, max_count=WRONG + 3)
-    row, column = np.unravel_index(np.argmin(cost), cost.shape)
-    best = matching.refine(score, [[row, column]])[0, ::-1]
+    row, column = matching.best(score, method.name)
+    best = matching.refine(score, [(row, column)])[0, ::-1]
     true = np.full(2, np.nan) if trial.corner is None else trial.corner
     wrong = ~(np.hypot(*(places[:, ::-1] - true).T) <= tau_px)  # NaN: all are wrong
     dx, dy = best - true
@@ -298,7 +291,7 @@ def runtime(
     """Run time of :func:`occlib.matching.search.similarity` on 320 x 240 px, one thread: ``side, method, median_ms``.
 
     The calls take turns, so that a slow moment of the machine falls on all alike; the first turn is not counted.
-    """  # fmt: skip
+    """
     lengths, threads = whole_numbers(sides, "sides", *SIDES_PX), cv2.getNumThreads()
     trials = {side: make_trial("camera", 0, side=side) for side in lengths}
     cv2.setNumThreads(1)
@@ -316,6 +309,7 @@ def runtime(
 
 
 def known_names(names: Iterable[str], table: Iterable[str], what: str) -> tuple[str, ...]:
+    """The names, each once; ``ValueError`` for one that is not in the table, and for none."""
     names, table = (names,) if isinstance(names, str) else tuple(names), tuple(table)
     for name in names:
         if name not in table:
@@ -326,6 +320,7 @@ def known_names(names: Iterable[str], table: Iterable[str], what: str) -> tuple[
 
 
 def whole_numbers(values: Iterable[Any], name: str, low: int, high: int) -> tuple[int, ...]:
+    """The numbers, each once; ``ValueError`` for one that is not whole or out of range, and for none."""
     numbers = tuple(dict.fromkeys(values))
     for value in numbers:
         if isinstance(value, bool) or not isinstance(value, int | np.integer) or not low <= value <= high:

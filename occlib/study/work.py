@@ -1,4 +1,4 @@
-"""DOC"""
+"""The work of the study: batches of trials by preset, their run in this process, and the sweep that writes files."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ def batches(
     for side, seed, source in ((side, seed, source) for side in lengths for seed in numbers for source in places):
         levels = tuple(
             (name, CONDITIONS[name].few_levels if choice.few_levels else CONDITIONS[name].levels) for name in names
-            if (name != "time" or source in TIMED) and (name != "side" or side == CONDITIONS["side"].clean)
+            if CONDITIONS[name].suits(side, filmed=source in TIMED)
         )  # fmt: skip
         found += [Batch(source, seed, side, levels, float(tau_px))] if levels else []
     if not found:
@@ -126,13 +126,13 @@ def run_batch(batch: Batch, methods: Methods = None) -> pd.DataFrame:
         with registered(methods) as chosen:
             for condition, levels in batch.levels:
                 for level in levels:
-                    same = level == CONDITIONS[condition].clean and not CONDITIONS[condition].under
-                    if same and clean:
+                    undisturbed = CONDITIONS[condition].is_undisturbed(level)
+                    if undisturbed and clean:
                         measured = clean
                     else:
                         trial = make_trial(batch.source, batch.seed, condition, level, batch.side)
                         measured = [measured_trial(trial, method, batch.tau_px) for method in chosen]
-                        clean = measured if same else clean
+                        clean = measured if undisturbed else clean
                     about = {"source": batch.source, "seed": batch.seed, "side": batch.side, "tau_px": batch.tau_px}
                     rows += [{**about, "condition": condition, "level": float(level), **row} for row in measured]
     finally:

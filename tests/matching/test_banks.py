@@ -20,7 +20,8 @@ from occlib.matching.search import Match, default_threshold, find, similarity
 Array = npt.NDArray[Any]
 LAB = Path(__file__).parents[2] / "data/lab/robot/frames"
 every_method = pytest.mark.parametrize("method", METHODS)
-coarse_method = pytest.mark.parametrize("method", banks.COARSE)
+COARSE = [name for name, method in METHODS.items() if method.coarse_to_fine]
+coarse_method = pytest.mark.parametrize("method", COARSE)
 
 
 def scene(shape: tuple[int, ...] = (90, 120), seed: int = 0) -> Array:
@@ -278,7 +279,7 @@ def test_the_pyramid_finds_what_the_full_search_finds_in_photographs(
 @settings(max_examples=25, deadline=None)
 @given(
     seed=st.integers(0, 2**32),
-    method=st.sampled_from(banks.COARSE),
+    method=st.sampled_from(COARSE),
     rule=st.sampled_from(["components", "nms"]),
     subpixel=st.booleans(),
     turned=st.booleans(),
@@ -480,7 +481,7 @@ def test_the_pyramid_of_flat_and_small_templates() -> None:
     flat = np.full((40, 40), 90, np.uint8)
     image = np.full((100, 100), 90, np.uint8)
     image[50:, 30:] = 200
-    for method in banks.COARSE:
+    for method in COARSE:
         for template in (flat, image[48:53, 28:33], image[40:60, 28:31], [[90]]):
             assert_same(image, np.asarray(template), method)
             assert_same(image, np.asarray(template), method, threshold=0.0)

@@ -24,7 +24,7 @@ import pytest
 from occlib.cli import main
 from occlib.matching import measures
 from occlib.study import sweeps
-from occlib.study.sweeps import load_matchers, run_batches
+from occlib.study.sweeps import run_batches
 
 pytestmark = pytest.mark.slow
 
@@ -171,14 +171,14 @@ def test_one_thread_everywhere(tmp_path: Path, toys: Any, scheduler: str) -> Non
     namespace: dict[str, Any] = {}
     source = """
     def threads(toy):
-        import cv2, numpy, numba, pandas, threadpoolctl
-        pools = [pool["num_threads"] for pool in threadpoolctl.threadpool_info()]
-        return pandas.DataFrame({"threads": [cv2.getNumThreads(), numba.get_num_threads(), max(pools)]})
+        import numpy, pandas, threadpoolctl
+        numpy.ones((9, 9)) @ numpy.ones((9, 9))
+        return pandas.DataFrame({"threads": [max(pool["num_threads"] for pool in threadpoolctl.threadpool_info())]})
     """
     exec("\n".join(line[4:] for line in source.splitlines()), namespace)  # by value, as above
     for name, options in {"one": {}, "two": {"jobs": 2}, "dask": {"scheduler": scheduler}}.items():
         trials = run_batches(toys(2), namespace["threads"], tmp_path / name, progress=False, **options)  # type: ignore[arg-type]
-        assert trials["threads"].tolist() == [1] * 6, name
+        assert trials["threads"].tolist() == [1] * 2, name
 
 
 # --- going on ------------------------------------------------------------------------------------------
@@ -209,30 +209,30 @@ def edit(path: Path, old: str, new: str) -> None:
     path.write_text(text.replace(old, new))
 
 
-STALE: dict[str, tuple[Callable[[Path], object], int, str]] = {
-    "cut": (lambda out: cut(out / "batches/toy-1.csv"), 1, "1 done again (damaged)"),
-    "emptied": (lambda out: (out / "batches/toy-1.csv").write_text(""), 1, "1 done again (damaged)"),
-    "edited": (lambda out: edit(out / "batches/toy-1.csv", "none", "None"), 1, "1 done again (damaged)"),
-    "removed": (lambda out: (out / "batches/toy-1.csv").unlink(), 1, "3 of 4 batches kept"),
-    "manifest removed": (lambda out: (out / "manifest.json").unlink(), 4, ""),
-    "manifest cut": (lambda out: cut(out / "manifest.json"), 4, ""),
-    "manifest of another kind": (lambda out: (out / "manifest.json").write_text('{"batches": [1]}'), 4, ""),
+AGAIN = " done again (damaged, or made with other code, libraries or options)"
+DAMAGE: dict[str, Callable[[Path], object]] = {
+    "cut": cut,
+    "emptied": lambda table: table.write_text(""),
+    "edited": lambda table: edit(table, "none", "None"),
+    "sealed by another": lambda table: edit(table, '"numpy": "', '"numpy": "9'),
+    "of another kind": lambda table: table.write_bytes(b"\xff\n# 1\n"),
+    "removed": lambda table: table.unlink(),
 }
 
 
-@pytest.mark.parametrize("what", STALE)
+@pytest.mark.parametrize("what", DAMAGE)
 def test_what_is_damaged_is_done_again(
     tmp_path: Path, toys: Any, work: Any, log: Path, capsys: pytest.CaptureFixture[str], what: str
 ) -> None:
     run_batches(toys(4), work, tmp_path, progress=False)
-    before = (tmp_path / "trials.csv").read_bytes()
-    damage, count, said = STALE[what]
-    damage(tmp_path)
+    whole = (tmp_path / "trials.csv").read_bytes()
+    DAMAGE[what](tmp_path / "batches/toy-1.csv")
     counted(log)
     run_batches(toys(4), work, tmp_path)
-    assert len(counted(log)) == count
-    assert said in capsys.readouterr().out
-    assert (tmp_path / "trials.csv").read_bytes() == before
+    assert counted(log) == ["toy-1"]
+    said = "" if what == "removed" else f", 1{AGAIN}"
+    assert capsys.readouterr().out == f"{tmp_path}: 3 of 4 batches kept{said}\n"
+    assert (tmp_path / "trials.csv").read_bytes() == whole
 
 
 @pytest.mark.parametrize("library", ["numpy", "occlib"])
@@ -244,11 +244,13 @@ def test_results_of_another_version_are_done_again(
         other = sweeps.versions() | {library: "0"}
         patch.setattr(sweeps, "versions", lambda: other)
         run_batches(toys(4), work, tmp_path, progress=False)
+        assert json.loads((tmp_path / "manifest.json").read_text())[library] == "0"
     counted(log)
     run_batches(toys(2), work, tmp_path)
     run_batches(toys(4), work, tmp_path)
     assert len(counted(log)) == 4
-    assert f"0 of 2 batches kept, 2 done again (other {library})\n" in capsys.readouterr().out
+    assert f"0 of 2 batches kept, 2{AGAIN}\n" in capsys.readouterr().out
+    assert json.loads((tmp_path / "manifest.json").read_text()) == sweeps.versions()
 
 
 def test_other_inputs_and_other_definitions_are_done_again(
@@ -264,8 +266,7 @@ def test_other_inputs_and_other_definitions_are_done_again(
     said = capsys.readouterr().out.splitlines()
     assert [line.partition(": ")[2] for line in said] == [
         "3 of 3 batches kept",
-        "0 of 3 batches kept, 3 done again (other methods)",
-        "0 of 3 batches kept, 3 done again (other batch definition)",
+        *2 * [f"0 of 3 batches kept, 3{AGAIN}"],
     ]
 
 
@@ -333,19 +334,9 @@ def test_a_cluster_without_workers(tmp_path: Path, toys: Any, work: Any, monkeyp
             run_batches(toys(2), work, tmp_path, scheduler=cluster.scheduler_address, progress=False)
 
 
-def test_wrong_batches(tmp_path: Path, toys: Any, work: Any) -> None:
-    class Named:
-        def __init__(self, key: str) -> None:
-            self.key = key
-
-    for keys, message in {
-        (): "expected one or more",
-        ("a/b",): "'a/b'",
-        ("..",): "file name",
-        ("a", "A"): "of its own",
-    }.items():
-        with pytest.raises(ValueError, match=message):
-            run_batches([Named(key) for key in keys], work, tmp_path, progress=False)
+def test_no_batches(tmp_path: Path, work: Any) -> None:
+    with pytest.raises(ValueError, match="batches: expected one or more, got none"):
+        run_batches([], work, tmp_path, progress=False)
 
 
 def test_two_sweeps_in_one_folder(tmp_path: Path, toys: Any, work: Any) -> None:
@@ -371,7 +362,7 @@ def test_out_that_is_a_file(tmp_path: Path, toys: Any, work: Any) -> None:
     assert (tmp_path / "file").read_text() == "keep"
 
 
-@pytest.mark.parametrize("room", range(8))  # files: a table and a manifest for each of two batches, trials twice
+@pytest.mark.parametrize("room", range(7))  # files: a table for each of two batches; trials and manifest, twice
 def test_a_disk_that_fills_up(
     tmp_path: Path, toys: Any, work: Any, log: Path, monkeypatch: pytest.MonkeyPatch, room: int
 ) -> None:
@@ -386,14 +377,14 @@ def test_a_disk_that_fills_up(
 
     with monkeypatch.context() as patch:
         patch.setattr("occlib.base.files.os.replace", limited)
-        if room < 6:
+        if room < 4:
             with pytest.raises(ValueError, match="cannot write \\(No space left on device"):
                 run_batches(toys(2), work, out, progress=False)
             assert not (out / "trials.csv").exists()
     assert not list(tmp_path.rglob(".*"))
     counted(log)
     run_batches(toys(2), work, out, progress=False)
-    assert len(counted(log)) == (2 - min(room, 4) // 2 if room < 6 else 2)
+    assert len(counted(log)) == (2 - min(room, 2) if room < 4 else 2)
     assert (out / "trials.csv").exists()
 
 
@@ -444,46 +435,45 @@ def started(tmp_path: Path, out: Path, *options: object) -> tuple[subprocess.Pop
     pipes: Any = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
     process = subprocess.Popen(command, text=True, start_new_session=True, **pipes)
     deadline = time.monotonic() + 60
-    while not (manifest := out / "manifest.json").exists() or len(json.loads(manifest.read_text())["batches"]) < 2:
+    while len(list(out.glob("batches/*.csv"))) < 2:
         assert process.poll() is None, process.communicate()
         assert time.monotonic() < deadline
         time.sleep(0.02)
     return process, workers(psutil.Process(process.pid))
 
 
-@pytest.mark.parametrize("how", ["SIGKILL", "SIGINT"])
-def test_a_sweep_that_is_stopped_goes_on(tmp_path: Path, how: str, capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize("signal_name", ["SIGKILL", "SIGINT"])
+def test_a_sweep_that_is_stopped_goes_on(tmp_path: Path, signal_name: str, capsys: pytest.CaptureFixture[str]) -> None:
     if sys.platform == "win32":
         pytest.skip("no such signals there")
     out, mine = tmp_path / "out", matchers(tmp_path, slow=0.03)
     options = ["--seeds", "0:4", "--fast", "--matchers", mine, *FEW]
     process, running = started(tmp_path, out, *options)
     assert len(running) == 2
-    if how == "SIGINT":  # as a terminal does: to all processes
+    if signal_name == "SIGINT":  # as a terminal does: to all processes
         os.killpg(process.pid, signal.SIGINT)
     else:
-        process.send_signal(getattr(signal, how))
+        process.send_signal(getattr(signal, signal_name))
     try:
         _, err = process.communicate(timeout=20)
     finally:
         process.kill()
         process.wait()
     assert psutil.wait_procs(running, timeout=5)[1] == []
-    kept = {p.name: p.stat().st_mtime_ns for p in (out / "batches").iterdir()}
-    vouched = json.loads((out / "manifest.json").read_text())["batches"]
-    assert 2 <= len(vouched) <= len(kept) < 8
+    kept = {path: path.stat().st_mtime_ns for path in out.glob("batches/*.csv")}
+    assert 2 <= len(kept) < 8
     assert not (out / "trials.csv").exists()
-    if how != "SIGKILL":
+    if signal_name != "SIGKILL":
         assert process.returncode == 130
-        line = f"occlib sweep: interrupted; {len(vouched)} of 8 batches are kept in {out}, the same command goes on from there\n"
+        line = f"occlib sweep: interrupted; {len(kept)} of 8 batches are kept in {out}, the same command goes on from there\n"
         assert err == line
     (tmp_path / "calls.txt").unlink()
     assert sweep(out, *options) == 0
-    assert f"{out}: {len(vouched)} of 8 batches kept\n" in capsys.readouterr().out
-    assert len((tmp_path / "calls.txt").read_text()) == CALLS * (8 - len(vouched))
-    for key in vouched:
-        assert (out / f"batches/{key}.csv").stat().st_mtime_ns == kept[f"{key}.csv"]
-    if how == "SIGKILL":
+    assert f"{out}: {len(kept)} of 8 batches kept\n" in capsys.readouterr().out
+    assert len((tmp_path / "calls.txt").read_text()) == CALLS * (8 - len(kept))
+    for path, time_ns in kept.items():
+        assert path.stat().st_mtime_ns == time_ns
+    if signal_name == "SIGKILL":
         assert sweep(tmp_path / "whole", *options) == 0
         for file in ("trials.csv", "verdicts.csv"):
             assert (out / file).read_bytes() == (tmp_path / "whole" / file).read_bytes()
@@ -513,18 +503,3 @@ def test_sweep_says_what_is_wrong(
     assert len(lines) == 1
     assert re.match(f"occlib sweep: {message}", lines[0]), lines
     assert not (tmp_path / "out").exists()
-
-
-@pytest.mark.parametrize(
-    ("content", "message"),
-    [
-        ("x = 1", "registers no matcher; expected a function under @matching.matcher"),
-        ("x = ", r"SyntaxError: invalid syntax \(mine.py, line 1\)"),
-        ("1 / 0", "ZeroDivisionError: division by zero"),
-        ("exit(2)", "SystemExit: 2"),
-    ],
-)
-def test_matchers_that_do_not_run(tmp_path: Path, content: str, message: str) -> None:
-    (tmp_path / "mine.py").write_text(content)
-    with pytest.raises(ValueError, match=f"mine.py: {message}"):
-        load_matchers(tmp_path / "mine.py")
