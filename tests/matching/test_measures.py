@@ -312,6 +312,7 @@ def test_what_the_mask_hides_does_not_count(method: str) -> None:
 # ---------------------------------------------------------------- layouts and memory
 
 
+@pytest.mark.slow
 @every_method
 @pytest.mark.parametrize("kind", [np.uint8, np.uint16, np.float64])
 @pytest.mark.parametrize("tail", [(), (3,)])

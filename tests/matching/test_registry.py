@@ -106,6 +106,7 @@ def test_scores_of_ones_own_are_checked(wrong: Any) -> None:
         similarity(IMAGE, np.ones((2, 2)), "wrong")
 
 
+@pytest.mark.slow
 def test_a_method_survives_the_way_to_another_process(
     robot: Array, floor_with_robots: Callable[..., Array], extreme: str
 ) -> None:

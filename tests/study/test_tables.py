@@ -104,6 +104,7 @@ def light():
     return work_module.run(work, ["ssd", "zncc"], progress=False)
 
 
+@pytest.mark.slow
 def test_zncc_stands_a_change_of_light_and_ssd_does_not(light):
     recall = tables.summarise(light).set_index(["condition", "method", "level"])["recall"].sort_index()
     assert recall["offset", "zncc"].loc[[-20, 20]].min() == 1 and recall["offset", "ssd"].loc[[-80, 80]].max() < 0.7
@@ -116,6 +117,7 @@ def test_zncc_stands_a_change_of_light_and_ssd_does_not(light):
     assert claim["area"] == pytest.approx(told.loc["constant light", "ssd"] - told.loc["changing light", "ssd"])
 
 
+@pytest.mark.slow
 def test_a_fixed_threshold_fails_for_ssd_where_otsu_does_not(light):
     rules = tables.thresholds(light).set_index(["condition", "method", "level", "rule"])["recall"]
     assert rules["noise", "ssd", 40.0, "fixed"] < 0.2 < 0.9 < rules["noise", "ssd", 40.0, "otsu"]

@@ -14,6 +14,7 @@ from occlib.study import trials, work
 from occlib.study.conditions import CONDITIONS
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("source", [*trials.PHOTOGRAPHS, "robot", "four_robots"])
 def test_clean_trial_holds_the_template_at_the_true_place(source):
     for side in (16, 48, 128):
@@ -66,6 +67,7 @@ def test_one_seed_has_the_same_target_under_every_condition():
     assert not np.array_equal(trials.make_trial("camera", 6).template, start.template)
 
 
+@pytest.mark.slow
 def test_robots_move_with_their_silhouettes():
     for seed in range(3):
         now, later = (trials.make_trial("four_robots", seed, "time", level) for level in (0, 32))

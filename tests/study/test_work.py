@@ -22,6 +22,7 @@ def small():
     return work_module.run(work_module.batches("fast", **SMALL), progress=False)
 
 
+@pytest.mark.slow
 def test_same_numbers_in_any_order_and_beside_other_work(small):
     trials._views.cache_clear()
     work = work_module.batches("fast", **SMALL)[::-1]
