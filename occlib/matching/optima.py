@@ -102,8 +102,11 @@ def optima(
     cost = _costs(score, method)
     accepted = cost <= (-limit if known_method(method).higher_is_better else limit)
     if rule == "components":
-        _, labels = cv2.connectedComponents(accepted.astype(np.uint8), connectivity=8)
+        count, labels = cv2.connectedComponents(accepted.astype(np.uint8), connectivity=8)
         places = np.flatnonzero(accepted)
+        least = np.full(count, np.inf)
+        np.minimum.at(least, labels.flat[places], cost.flat[places])
+        places = places[cost.flat[places] == least[labels.flat[places]]]  # only equals are left to be sorted
         places = places[np.argsort(cost.flat[places], kind="stable")]
         _, first = np.unique(labels.flat[places], return_index=True)
         places = places[np.sort(first)]
