@@ -223,10 +223,6 @@ class Camera:
         rotation, translation = self.pose
         return -rotation.T @ translation
 
-    def undistort_points(self, points_px: npt.ArrayLike) -> FloatArray:
-        """Raw px (N, 2) to undistorted px (N, 2): :meth:`occlib.lens.Lens.undistort`."""
-        return self.lens.undistort(points_px)
-
     def project(self, points_m: npt.ArrayLike) -> FloatArray:
         """World points (N, 3) in m to raw px (N, 2).
 

@@ -27,6 +27,9 @@ Pose = tuple[FloatArray, FloatArray]
 _NEAREST_DEPTH = 1e-9
 """Points no further in front of the camera than this have no picture; in the unit of the points, m."""
 
+_NO_DISTORTION = 1e-12
+"""Smaller coefficients bend nothing within a hundred focal lengths of the axis."""
+
 _UNDISTORT_STEPS = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 50, 1e-10)
 """The inverse of the distortion is found step by step: at most 50 steps, or until a step is smaller than 1e-10."""
 
@@ -100,8 +103,10 @@ class Lens:
     def _fold_radius2(self) -> float:
         """Squared distance from the axis at which the radial distortion turns back, in focal lengths; infinite if never."""
         k1, k2, _, _, k3 = self.distortion
-        slope = np.roots([7 * k3, 5 * k2, 3 * k1, 1.0])  # d(r * radial)/dr = 0, in r^2
-        real = slope[(np.abs(slope.imag) < 1e-9) & (slope.real > 0)].real
+        slope = np.array([7 * k3, 5 * k2, 3 * k1, 1.0])  # d(r * radial)/dr = 0, in r^2
+        slope[np.abs(slope) < _NO_DISTORTION] = 0  # or the roots overflow
+        roots = np.roots(slope)
+        real = roots[(np.abs(roots.imag) < 1e-9) & (roots.real > 0)].real
         return float(real.min()) if len(real) else np.inf
 
     def directions(self, points_px: npt.ArrayLike) -> FloatArray:
