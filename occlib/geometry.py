@@ -26,7 +26,7 @@ from scipy.ndimage import distance_transform_edt
 
 from occlib.base import checks
 from occlib.base.arrays import FloatArray, Mask, as_points
-from occlib.base.files import read_yaml
+from occlib.formats.rig import CameraEntry, RigFile, load_rig, rig_file
 from occlib.lens import Lens, Pose
 
 
@@ -300,25 +300,22 @@ class Rig:
     @classmethod
     def load(cls, path: str | Path) -> Rig:
         """Read ``rig.yaml``; ``ValueError`` with the file's name and the field that is wrong."""
-        content = read_yaml(path)
+        content = load_rig(path)
         try:
-            return cls.from_dict(content)
+            return cls.of(content)
         except ValueError as error:
             raise ValueError(f"{path}: {error}") from None
 
     @classmethod
     def from_dict(cls, content: Any) -> Rig:
         """Build from the mapping that ``rig.yaml`` holds (see the contract in the README)."""
-        if not isinstance(content, dict) or not isinstance(content.get("cameras"), dict) or not content["cameras"]:
-            raise ValueError("expected a mapping with 'units', 'floor' and 'cameras'")
-        if content.get("units", "m") != "m":
-            raise ValueError(f"units: expected 'm', got {content['units']!r}")
-        area = content.get("floor")
-        if not isinstance(area, dict):
-            raise ValueError("floor: expected a mapping with 'x', 'y' and 'resolution'")
-        x, y = (tuple(checks.numbers(f"floor.{axis}", area.get(axis), (2,)).tolist()) for axis in "xy")
-        floor = Floor(x, y, float(checks.numbers("floor.resolution", area.get("resolution"), ())))
-        return cls(floor, {str(name): _camera(str(name), fields) for name, fields in content["cameras"].items()})
+        return cls.of(rig_file(content))
+
+    @classmethod
+    def of(cls, content: RigFile) -> Rig:
+        """Build from the checked content of ``rig.yaml``."""
+        floor = Floor(content.floor.x, content.floor.y, content.floor.resolution)
+        return cls(floor, {name: _camera(name, entry) for name, entry in content.cameras.items()})
 
     def to_dict(self) -> dict[str, Any]:
         """The mapping that :meth:`from_dict` reads."""
@@ -348,19 +345,15 @@ def image_size(name: str, value: Any) -> tuple[int, int]:
     return int(width), int(height)
 
 
-def _camera(name: str, fields: Any) -> Camera:
-    where = f"cameras.{name}"
-    if not isinstance(fields, dict):
-        raise ValueError(f"{where}: expected a mapping")
-    size = image_size(f"{where}.size", fields.get("size"))
-    lens = Lens.from_dict(fields, f"{where}.")
-    if "floor_homography" in fields:
-        homography = checks.numbers(f"{where}.floor_homography", fields["floor_homography"], (3, 3))
-        invert_homography(homography, f"{where}.floor_homography")
+def _camera(name: str, entry: CameraEntry) -> Camera:
+    size = (int(entry.size[0]), int(entry.size[1]))
+    lens = Lens.from_dict({"matrix": entry.matrix, "distortion": entry.distortion}, f"cameras.{name}.")
+    if entry.floor_homography is not None:
+        homography = np.array(entry.floor_homography)
+        invert_homography(homography, f"cameras.{name}.floor_homography")
         return Camera(name, size, lens, homography)
-    rotation = checks.numbers(f"{where}.rotation", fields.get("rotation"), (3, 3))
-    translation = checks.numbers(f"{where}.translation", fields.get("translation"), (3,))
-    return Camera.from_pose(name, size, lens, rotation, translation)
+    assert entry.rotation is not None and entry.translation is not None  # CameraEntry has one or the other
+    return Camera.from_pose(name, size, lens, entry.rotation, entry.translation)
 
 
 def look_at(position: Iterable[float], target: Iterable[float]) -> FloatArray:

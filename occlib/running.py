@@ -118,7 +118,7 @@ def run_recording(
     if not chosen:
         raise ValueError("frames: expected one or more, got none")
     truth_path = recording.path / "truth.json"
-    truth = load_truth(truth_path)["frames"] if truth_path.exists() else {}
+    truth = load_truth(truth_path).frames if truth_path.exists() else {}
     with staged_folder(out) as stage:
         pipeline = Pipeline(recording.rig, backgrounds_of(recording, progress=progress), settings, templates)
         run = _Run(recording, pipeline, stage, map_mode if maps else None)
@@ -128,8 +128,7 @@ def run_recording(
         assert run.result is not None
         last = run.frames[-1]
         title = f"{recording.path.name}, frame {last}, rule {settings.finder.rule}" + (f", {note}" if note else "")
-        true_objects = {int(frame): objects for frame, objects in truth.items()}.get(last, [])
-        drawn = overview(recording.rig, run.images, run.result, title=title, truth=true_objects)
+        drawn = overview(recording.rig, run.images, run.result, title=title, truth=truth.get(last, []))
         write_file(stage / "overview.png", figure_png(drawn))
         picture = read_yaml(save_map(stage / "map", run.result.map, mode=map_mode))["image"]
     return RunSummary(Path(out), [picture, "map.yaml", *bags], run.frames, run.excluded)

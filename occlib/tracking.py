@@ -111,6 +111,16 @@ class ObjectVector:
     spread: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     @property
+    def x(self) -> float:
+        """First coordinate of the position in m."""
+        return self.position_m[0]
+
+    @property
+    def y(self) -> float:
+        """Second coordinate of the position in m."""
+        return self.position_m[1]
+
+    @property
     def covariance(self) -> FloatArray:
         """Covariance of the state (x, y, vx, vy), float64 (4, 4), in m and m/s."""
         pp, pv, vv = self.spread
@@ -148,13 +158,29 @@ class Event(NamedTuple):
 class _Track:
     """Kalman state of one object. x and y share one covariance, so it is three plain floats."""
 
-    __slots__ = ("area", "born", "colour", "id", "label", "pp", "pv", "since", "time", "vv", "vx", "vy", "x", "y")
+    __slots__ = (
+        "area",
+        "born",
+        "colour",
+        "id",
+        "label",
+        "pp",
+        "pv",
+        "since",
+        "size",
+        "time",
+        "vv",
+        "vx",
+        "vy",
+        "x",
+        "y",
+    )
 
     def __init__(self, seen: Observation, time: float, frame: int, noise_m: float) -> None:
         self.id, self.born, self.since, self.area = 0, frame, time, seen.area_m2
         (self.x, self.y), self.vx, self.vy = seen.position_m, 0.0, 0.0
         self.pp, self.pv, self.vv = noise_m**2, 0.0, _BIRTH_SPEED**2
-        self.time, self.colour, self.label = time, seen.colour, seen.label
+        self.time, self.colour, self.label, self.size = time, seen.colour, seen.label, seen.size_m2
 
     def predict(self, time: float) -> Point:
         """Position in m at ``time`` if the velocity stays; the state is left as it is."""
@@ -176,6 +202,7 @@ class _Track:
         self.vx, self.vy = self.vx + gain_v * (zx - x), self.vy + gain_v * (zy - y)
         self.pp, self.pv, self.vv = (1 - gain_p) * pp, (1 - gain_p) * pv, vv - gain_v * pv
         self.time, self.colour, self.label, self.area = time, seen.colour, seen.label or self.label, seen.area_m2
+        self.size = seen.size_m2
 
 
 @dataclass(frozen=True)
@@ -390,6 +417,7 @@ class Tracker:
             label=track.label,
             age=self._frame - track.born + 1,
             spread=track.spread(time, self.settings.acceleration_mps2),
+            size_m2=track.size,
         )
         if seen is None:
             return vector

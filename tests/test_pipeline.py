@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -20,6 +19,7 @@ from occlib.finding import HIDDEN, Regions, confirmed_only
 from occlib.foreground.background import Background
 from occlib.foreground.difference import smooth, subtract_background
 from occlib.foreground.threshold import otsu_threshold
+from occlib.formats import Truth
 from occlib.geometry import Camera, Floor, Rig
 from occlib.localization import find_regions
 from occlib.mapping import BLIND, DISAGREE, ONE_VIEW, UNCONFIRMED, load_map, save_map
@@ -79,9 +79,9 @@ def test_the_tiny_recording_from_folder_to_objects(
     for frame, images in recording.images():
         result = pipeline.process(images, recording.time(frame))
         assert result.time == recording.time(frame)
-        detections[frame] = [thing.to_dict() for thing in result.objects]
+        detections[frame] = result.objects
         moving.append(min(result.objects, key=lambda thing: thing.position_m[1]))
-        footprints = [thing["footprint"] for thing in truth["frames"][str(frame)]]
+        footprints = [true.footprint for true in truth.frames[frame]]
         covered = metrics.footprint_coverage(result.map.data == 100, recording.rig.floor, footprints)
         assert covered.min() >= covered_at_least
     score = metrics.evaluate(detections, truth, radius=0.1)
@@ -407,22 +407,21 @@ def run(
     pipeline = Pipeline(recording.rig, backgrounds_of(recording), settings)
     frames = recording.frames[::every]
     results = {frame: pipeline.process(images, recording.time(frame)) for frame, images in recording.images(frames)}
-    truth["frames"] = {str(frame): truth["frames"][str(frame)] for frame in frames}
-    return results, truth, recording.rig.floor
+    return results, truth.select(frames), recording.rig.floor
 
 
-def score(results: Mapping[int, FrameResult], truth: Mapping[str, Any], radius: float) -> metrics.Score:
+def score(results: Mapping[int, FrameResult], truth: Truth, radius: float) -> metrics.Score:
     return metrics.evaluate(
-        {frame: [thing.to_dict() for thing in result.objects] for frame, result in results.items()},
+        {frame: result.objects for frame, result in results.items()},
         truth,
         radius=radius,
     )
 
 
-def least_coverage(results: Mapping[int, FrameResult], truth: Mapping[str, Any], floor: Floor) -> float:
+def least_coverage(results: Mapping[int, FrameResult], truth: Truth, floor: Floor) -> float:
     return min(
         metrics.footprint_coverage(
-            result.map.data == 100, floor, [thing["footprint"] for thing in truth["frames"][str(frame)]]
+            result.map.data == 100, floor, [true.footprint for true in truth.frames[frame]]
         ).min()
         for frame, result in results.items()
     )
@@ -463,11 +462,8 @@ def test_the_paper_profile_also_finds_ball_and_oval() -> None:
     pipeline = Pipeline(recording.rig, backgrounds_of(recording), settings_for("paper"))
     frame, images = next(recording.images())
     result = pipeline.process(images, 0.0)
-    truth = json.loads((recording.path / "truth.json").read_text(encoding="utf-8"))["frames"][str(frame)]
-    for thing in truth:
-        distances = np.linalg.norm(
-            np.subtract([o.position_m for o in result.objects], (thing["x"], thing["y"])), axis=1
-        )
+    for true in formats.load_truth(recording.path / "truth.json").frames[frame]:
+        distances = np.linalg.norm(np.subtract([o.position_m for o in result.objects], (true.x, true.y)), axis=1)
         assert distances.min() < 0.15
 
 
@@ -485,9 +481,7 @@ def test_long_occlusion_keeps_the_hidden_robot_on_the_map_in_every_frame() -> No
     scored = score(results, truth, radius=0.3)
     assert scored.moda == 1.0
     assert scored.error_median_m is not None and scored.error_median_m <= 0.02
-    hidden = [
-        frame for frame in results if any(t["hidden_fraction"]["left"] == 1.0 for t in truth["frames"][str(frame)])
-    ]
+    hidden = [frame for frame in results if any(t.hidden_fraction["left"] == 1.0 for t in truth.frames[frame])]
     assert len(hidden) >= 60
     said = [any("left" in thing.hidden_in for thing in results[frame].objects) for frame in hidden]
     assert np.mean(said) >= 0.9
@@ -505,7 +499,7 @@ def test_who_is_hidden_is_said_and_nobody_else() -> None:
     found = []
     for name in ("four_robots", "long_occlusion"):
         results, truth, _ = run(lab(name), ["left", "right"])
-        detections = {frame: [thing.to_dict() for thing in result.objects] for frame, result in results.items()}
+        detections = {frame: result.objects for frame, result in results.items()}
         found.append(metrics.evaluate_hidden(detections, truth, radius=0.3, cameras=["left", "right"]))
     right, wrong, missed = (sum(getattr(score, field) for score in found) for field in ("tp", "fp", "fn"))
     assert right > 80 and right / (right + wrong) >= 0.95 and right / (right + missed) >= 0.95
@@ -518,17 +512,17 @@ def test_every_object_keeps_its_identity_and_has_its_velocity(name: str) -> None
     ids: dict[str, set[int]] = {}
     errors = []
     for frame, result in results.items():
-        for thing in truth["frames"][str(frame)]:
-            nearest = min(result.objects, key=lambda o: math.dist(o.position_m, (thing["x"], thing["y"])))
-            assert math.dist(nearest.position_m, (thing["x"], thing["y"])) < 0.3
-            ids.setdefault(thing["id"], set()).add(nearest.id)
+        for true in truth.frames[frame]:
+            nearest = min(result.objects, key=lambda o: math.dist(o.position_m, (true.x, true.y)))
+            assert math.dist(nearest.position_m, (true.x, true.y)) < 0.3
+            ids.setdefault(str(true.id), set()).add(nearest.id)
             around = [
-                next(t for t in truth["frames"][str(f)] if t["id"] == thing["id"])
+                next(t for t in truth.frames[f] if t.id == true.id)
                 for f in (max(frame - 5, min(results)), min(frame + 5, max(results)))
             ]
             span = (min(frame + 5, max(results)) - max(frame - 5, min(results))) / 10
-            true = [(around[1][axis] - around[0][axis]) / span for axis in "xy"]
-            errors.append(math.dist(nearest.velocity_mps, true))
+            velocity = ((around[1].x - around[0].x) / span, (around[1].y - around[0].y) / span)
+            errors.append(math.dist(nearest.velocity_mps, velocity))
     assert all(len(own) == 1 for own in ids.values()) and len(set.union(*ids.values())) == len(ids)
     assert np.median(errors[len(ids) :]) <= 0.05
 
@@ -538,7 +532,7 @@ def test_four_robots_with_four_cameras_claim_less_floor_than_with_two() -> None:
     two, truth, floor = run(path, ["left", "right"], every=20)
     four, _, _ = run(path, ["left", "right", "front", "back"], every=20)
     for frame, result in four.items():
-        footprints = [thing["footprint"] for thing in truth["frames"][str(frame)]]
+        footprints = [true.footprint for true in truth.frames[frame]]
         claims = [metrics.claimed_area_ratio(r.map.data == 100, floor, footprints) for r in (two[frame], result)]
         assert claims[0] is not None and claims[1] is not None
         assert claims[1] <= claims[0]
@@ -569,8 +563,8 @@ def test_ufes_lab_two_people_in_a_real_room(
     for frame, images in recording.images(frames):
         for name, pipeline in pipelines.items():
             result = pipeline.process(images, recording.time(frame))
-            detections[name][frame] = [thing.to_dict() for thing in result.objects]
-    truth["frames"] = {key: things for key, things in truth["frames"].items() if int(key) in frames}
+            detections[name][frame] = result.objects
+    truth = truth.select(frames)
     readme = (Path(__file__).parents[1] / "README.md").read_text(encoding="utf-8")
     moda, error = {}, {}
     for roi in UFES[cameras]:
@@ -583,8 +577,8 @@ def test_ufes_lab_two_people_in_a_real_room(
     assert all(error[roi] <= (0.06 if len(cameras) == 2 else 0.05) for roi in UFES[cameras])
     if cameras == ("cam1", "cam2", "cam3"):
         seen = [(f, thing) for f, things in detections["recommended"].items() if f >= 40 for thing in things]
-        inside = metrics.inside_polygon([(thing["x"], thing["y"]) for _, thing in seen], truth["roi"]["cam1+cam2+cam3"])
-        assert len({thing["id"] for (_, thing), there in zip(seen, inside, strict=True) if there}) <= 3  # two people
+        inside = metrics.inside_polygon([thing.position_m for _, thing in seen], truth.region("cam1+cam2+cam3"))
+        assert len({thing.id for (_, thing), there in zip(seen, inside, strict=True) if there}) <= 3  # two people
 
 
 @pytest.mark.parametrize("settings", [AND, settings_for()])
@@ -673,7 +667,7 @@ def test_a_frozen_picture_does_not_hold_an_object_where_it_was(tiny_rig: Rig, dr
 def test_four_cameras_go_on_with_three(reason: str) -> None:
     """The damaged camera neither deletes nor adds an object, and little of the map is lost."""
     recording = open_recording(lab("four_robots"), ["left", "right", "front", "back"])
-    truth = formats.load_truth(recording.path / "truth.json")["frames"]
+    truth = formats.load_truth(recording.path / "truth.json").frames
     pipeline = Pipeline(recording.rig, backgrounds_of(recording))
     cloth = np.full((480, 640, 3), (150, 130, 60), np.uint8)
     first: Any = None
@@ -686,7 +680,7 @@ def test_four_cameras_go_on_with_three(reason: str) -> None:
         if late:
             assert result.excluded == {"front": reason}
             assert list(result.views) == ["left", "right", "back"]
-            agree(result, [SimpleNamespace(**thing) for thing in truth[str(frame)]], 0.1)
+            agree(result, truth[frame], 0.1)
             assert (result.map.data == -1).mean() < 0.2
 
 
@@ -716,15 +710,15 @@ def test_templates_name_the_robots_and_bring_their_ids_back() -> None:
     """Templates cut from the first frame; then the floor is empty for two seconds, and the robots stand elsewhere."""
     recording = open_recording("four_robots", ["left", "right"])
     backgrounds = backgrounds_of(recording)
-    truth = formats.load_truth(recording.path / "truth.json")["frames"]
+    truth = formats.load_truth(recording.path / "truth.json").frames
     first = Pipeline(recording.rig, backgrounds)
     (_, images), *later = recording.images([0, *range(60, 64)])
     templates = {}
     for thing, cylinder in zip(first.process(images, 0.0).objects, first.finder.cylinders, strict=True):
         camera = max(thing.visible, key=lambda name: thing.visible[name])
         left, top, right, bottom = _box(cylinder, recording.rig, camera)
-        nearest = min(truth["0"], key=lambda t: math.dist(thing.position_m, (t["x"], t["y"])))
-        templates[nearest["id"]] = images[camera][max(top, 0) : bottom + 1, max(left, 0) : right + 1]
+        nearest = min(truth[0], key=lambda t: math.dist(thing.position_m, (t.x, t.y)))
+        templates[str(nearest.id)] = images[camera][max(top, 0) : bottom + 1, max(left, 0) : right + 1]
     assert len(templates) == 4
     pipeline = Pipeline(recording.rig, backgrounds, templates=templates)
     known = {thing.label: thing.id for thing in pipeline.process(images, 0.0).objects}
@@ -736,7 +730,7 @@ def test_templates_name_the_robots_and_bring_their_ids_back() -> None:
         objects = pipeline.process(pictures, 2.1 + 0.1 * k).objects
         assert {thing.label: thing.id for thing in objects} == known
         for thing in objects:
-            place = next((t["x"], t["y"]) for t in truth[str(frame)] if t["id"] == thing.label)
+            place = next((t.x, t.y) for t in truth[frame] if t.id == thing.label)
             assert math.dist(thing.position_m, place) < 0.1
     with pytest.raises(ValueError, match=r"templates\['x'\]: expected uint8 RGB or RGBA of 4 x 4 px"):
         Pipeline(recording.rig, backgrounds, templates={"x": np.zeros((2, 9, 3), np.uint8)})

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from occlib.base.arrays import FloatArray, as_points
+from occlib.formats import TrueObject, Truth
 from occlib.geometry import Camera, Floor, Rig, look_at
 from occlib.lab.scenes import SceneObject, Waypoint
 from occlib.lab.shapes import SHAPES, Part
@@ -201,13 +202,11 @@ def places_m(crowd: Sequence[SceneObject]) -> FloatArray:
     return as_points([thing.pose(0)[:2] for thing in crowd])
 
 
-def truth_of(crowds: Sequence[Sequence[SceneObject]]) -> dict[str, Any]:
-    """The crowds as the frames of a ``truth.json``, for :func:`occlib.metrics.evaluate`."""
-    frames = {
-        str(i): [
-            {"id": thing.id, "x": thing.pose(0)[0], "y": thing.pose(0)[1], "footprint": thing.footprint(0).tolist()}
-            for thing in crowd
-        ]
-        for i, crowd in enumerate(crowds)
-    }
-    return {"units": "m", "frames": frames}
+def truth_of(crowds: Sequence[Sequence[SceneObject]]) -> Truth:
+    """Where the crowds stand, a frame each, for :func:`occlib.metrics.evaluate`."""
+    return Truth({i: [_true_object(each) for each in crowd] for i, crowd in enumerate(crowds)})
+
+
+def _true_object(each: SceneObject) -> TrueObject:
+    x, y, _ = each.pose(0)
+    return TrueObject(id=each.id, x=x, y=y, footprint=tuple(map(tuple, each.footprint(0).tolist())))

@@ -6,7 +6,6 @@ Only needed to make ``data/lab`` again or to render a scene of one's own; truth 
 from __future__ import annotations
 
 import ctypes
-import json
 import os
 import sys
 from collections.abc import Iterable
@@ -15,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import cv2
+import msgspec
 import numpy as np
 import numpy.typing as npt
 import yaml
@@ -94,6 +94,9 @@ class Studio:
     """The scene as Mitsuba sees it; objects move without rebuilding it."""
 
     def __init__(self, scene: Scene, *, spp: int) -> None:
+        if scene.room is None:
+            raise ValueError(f"scene: {scene.name!r} has no room to be rendered in")
+        self.room = scene.room
         self.mi, self.scene, self.spp, self.cameras = load_mitsuba(), scene, spp, scene.rig.cameras
         self.integrator = self.mi.load_dict({"type": "path", "max_depth": 5, "rr_depth": 100})
         self.world = self.mi.load_dict(self._description(), optimize=False)
@@ -103,19 +106,19 @@ class Studio:
         self._floor: dict[str, Any] = {}
 
     def _description(self) -> dict[str, Any]:
-        mi, room = self.mi, self.scene.room
-        (x0, x1), (y0, y1), height = room["walls"]["x"], room["walls"]["y"], room["walls"]["height"]
-        light, vinyl, to = room["ceiling_light"], room["vinyl"], mi.ScalarTransform4f
+        mi, room = self.mi, self.room
+        (x0, x1), (y0, y1), height = room.walls.x, room.walls.y, room.walls.height
+        light, vinyl, to = room.ceiling_light, room.vinyl, mi.ScalarTransform4f
         middle, half = [(x0 + x1) / 2, (y0 + y1) / 2], [(x1 - x0) / 2, (y1 - y0) / 2]
-        tiles = to().scale([2 * half[0] / vinyl["tile"], 2 * half[1] / vinyl["tile"], 1])
+        tiles = to().scale([2 * half[0] / vinyl.tile, 2 * half[1] / vinyl.tile, 1])
         texture = {
             "type": "bitmap",
-            "bitmap": mi.Bitmap(vinyl_texture(vinyl["colour"]).astype(np.float32)),
+            "bitmap": mi.Bitmap(vinyl_texture(vinyl.colour).astype(np.float32)),
             "raw": True,
             "to_uv": tiles,
         }
-        wall = self._matte(room["walls"]["colour"])
-        walls = Part("box", (*middle, height / 2), (2 * half[0], 2 * half[1], height), (0, 0, 0))
+        wall = self._matte(room.walls.colour)
+        walls = Part("box", (middle[0], middle[1], height / 2), (2 * half[0], 2 * half[1], height), (0, 0, 0))
         world: dict[str, Any] = {
             "type": "scene",
             "floor": {
@@ -124,8 +127,8 @@ class Studio:
                 "bsdf": {
                     "type": "roughplastic",
                     "distribution": "ggx",
-                    "alpha": vinyl["roughness"],
-                    "int_ior": vinyl["ior"],
+                    "alpha": vinyl.roughness,
+                    "int_ior": vinyl.ior,
                     "diffuse_reflectance": texture,
                 },
             },
@@ -134,10 +137,10 @@ class Studio:
                 "to_world": to()
                 .translate([*middle, height - 0.02])
                 .rotate([1, 0, 0], 180)
-                .scale([light["size"][0] / 2, light["size"][1] / 2, 1]),
+                .scale([light.size[0] / 2, light.size[1] / 2, 1]),
                 "emitter": {
                     "type": "area",
-                    "radiance": {"type": "rgb", "value": [light["radiance"] * c for c in (1.0, 0.985, 0.955)]},
+                    "radiance": {"type": "rgb", "value": [light.radiance * c for c in (1.0, 0.985, 0.955)]},
                 },
             },
             # The floor rectangle lies a hair above the bottom of the box that makes the walls.
@@ -301,16 +304,16 @@ class Studio:
 
     def photograph(self, radiance: FloatArray, name: str, kind: str, index: int) -> Image:
         """Exposure, vignetting, the sRGB curve and sensor noise: uint8 RGB (H, W, 3)."""
-        sensor, camera = self.scene.room["sensor"], self.cameras[name]
+        sensor, camera = self.room.sensor, self.cameras[name]
         width, height = camera.size
         v, u = np.mgrid[:height, :width]
         cx, cy = (width - 1) / 2, (height - 1) / 2
-        fall = 1 - sensor["vignetting"] * ((u - cx) ** 2 + (v - cy) ** 2) / (cx**2 + cy**2)
-        gain = self.scene.room["cameras"][name]["gain"]["background" if kind == "background" else "frames"]
-        clean = to_srgb(radiance * fall[..., None] * sensor["exposure"] * gain)
-        names = list(self.scene.room["cameras"])
+        fall = 1 - sensor.vignetting * ((u - cx) ** 2 + (v - cy) ** 2) / (cx**2 + cy**2)
+        gain = getattr(self.room.cameras[name].gain, "background" if kind == "background" else "frames")
+        clean = to_srgb(radiance * fall[..., None] * sensor.exposure * gain)
+        names = list(self.room.cameras)
         rng = np.random.default_rng([self.scene.seed, names.index(name), index, kind == "background"])
-        sigma = np.sqrt(sensor["read_noise"] ** 2 + sensor["shot_noise"] ** 2 * clean)
+        sigma = np.sqrt(sensor.read_noise**2 + sensor.shot_noise**2 * clean)
         return np.clip(np.rint(clean + sigma * rng.standard_normal(clean.shape)), 0, 255).astype(np.uint8)
 
 
@@ -380,7 +383,7 @@ def render(
 
 
 def _write_recording(scene: Scene, studio: Studio, chosen: list[int], out: Path, bar: Any) -> None:
-    quality, cameras = int(scene.room["sensor"]["jpeg_quality"]), scene.rig.cameras
+    quality, cameras = studio.room.sensor.jpeg_quality, scene.rig.cameras
     for name in cameras:  # camera by camera: its rays and its empty room are used again
         for i in range(scene.background):
             picture = studio.photograph(studio.radiance(name, None), name, "background", i)
@@ -400,10 +403,7 @@ def _write_recording(scene: Scene, studio: Studio, chosen: list[int], out: Path,
             bar.update()
         write_file(out / "floor_marks.yaml", _yaml(floor_marks(scene)))
     write_file(out / "rig.yaml", _yaml({"fps": scene.fps, **scene.rig.to_dict()}))
-    truth = ground_truth(scene, frames=chosen)
-    lines = [f"{json.dumps(k)}: {json.dumps(v)}" for k, v in truth.pop("frames").items()]
-    head = json.dumps(truth)[:-1]  # one frame a line: short, and still readable
-    write_file(out / "truth.json", (head + ', "frames": {\n' + ",\n".join(lines) + "\n}}\n").encode())
+    ground_truth(scene, frames=chosen).save(out / "truth.json")
 
 
 def _yaml(content: Any) -> bytes:
@@ -419,5 +419,5 @@ def floor_marks(scene: Scene) -> dict[str, Any]:
                 marks[name].append({"pixel": np.round(pixel, 1).tolist(), "floor": list(mark)})
     content: dict[str, Any] = {"units": {"pixel": "raw image px", "floor": "m"}}
     if scene.floor_board is not None:
-        content["board"] = {"pattern": list(BOARD_PATTERN), **scene.floor_board}
+        content["board"] = {"pattern": list(BOARD_PATTERN), **msgspec.to_builtins(scene.floor_board)}
     return {**content, "marks": marks}

@@ -72,7 +72,7 @@ class Simulation:
     @cached_property
     def _scene(self) -> Scene:
         """Holds the pixels' rays; the objects come later."""
-        return Scene("crowd", Path(), {}, self.rig, frames=1, background=0, seed=0, fps=10.0, objects=())
+        return Scene("crowd", Path(), None, self.rig, frames=1, background=0, seed=0, fps=10.0, objects=())
 
     @cached_property
     def _warps(self) -> dict[str, FloorWarp]:

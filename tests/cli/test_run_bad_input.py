@@ -27,7 +27,7 @@ BAD_RECORDINGS: dict[str, tuple[Damage, str]] = {
     "rig not YAML": (text("rig.yaml", "a: [1"), "rig.yaml: not valid YAML"),
     "rig too deep": (text("rig.yaml", "[" * 20_000), "rig.yaml: not valid YAML"),
     "rig with an impossible date": (text("rig.yaml", "a: 2001-99-99"), "rig.yaml: not valid YAML"),
-    "no cameras": (rig(cameras={}), "rig.yaml: expected a mapping with 'units', 'floor' and 'cameras'"),
+    "no cameras": (rig(cameras={}), "rig.yaml: cameras: expected a mapping with one or more cameras, got {}"),
     "fps negative": (rig(fps=-1), "rig.yaml: fps: expected frames a second > 0, got -1"),
     "fps in words": (rig(fps="ten"), "rig.yaml: fps: expected frames a second > 0, got 'ten'"),
     "fps tiny": (rig(fps=1e-300), "rig.yaml: fps: expected"),

@@ -28,7 +28,7 @@ def test_hidden_fractions_are_near_those_of_ray_casting(name: str) -> None:
         for one in scene.objects:
             (x, y), radius = cv2.minEnclosingCircle(one.footprint(frame).astype(np.float32))
             cylinders.append(Cylinder(float(x), float(y), float(radius), one.height))
-        truth = [entry["hidden_fraction"] for entry in ground_truth(scene, frames=[frame])["frames"][str(frame)]]
+        truth = [true.hidden_fraction for true in ground_truth(scene, frames=[frame]).frames[frame]]
         expected = np.array([[entry.get(camera, np.nan) for camera in cameras] for entry in truth])
         found, by = occlusion_state(at.evidence(), cylinders)
         np.testing.assert_array_equal(np.isnan(found), np.isnan(expected))

@@ -55,7 +55,7 @@ def test_a_rig_is_that_of_its_scene_and_sees_the_whole_floor(name):
     border = [[x, y] for x in np.linspace(*rig.floor.x, 21) for y in np.linspace(*rig.floor.y, 21)]
     for key, camera in rig.cameras.items():
         assert camera.inside(camera.floor_to_pixels(border)).all()
-        np.testing.assert_allclose(camera.centre_m, scene.room["cameras"][key]["position"], atol=1e-6)
+        np.testing.assert_allclose(camera.centre_m, scene.room.cameras[key].position, atol=1e-6)
         above = [[0.3, -0.2, 0.5], [-1.0, 1.0, 0.1]]
         np.testing.assert_allclose(camera.project(above), scene.rig[key].project(above), atol=1e-6)
 
@@ -78,8 +78,8 @@ def test_the_truth_on_disk_is_what_the_scene_says(name):
     frames = sorted({0, scene.frames // 2, scene.frames - 1})
     fresh = ground_truth(scene, frames=frames)
     assert truth["units"] == "m"
-    assert json.loads(json.dumps(fresh["frames"])) == {str(f): truth["frames"][str(f)] for f in frames}
-    assert fresh["roi"] == truth["roi"]
+    assert json.loads(json.dumps(fresh.to_dict()["frames"])) == {str(f): truth["frames"][str(f)] for f in frames}
+    assert fresh.to_dict()["roi"] == truth["roi"]
 
 
 @pytest.mark.parametrize("name", RECORDINGS)
@@ -199,17 +199,23 @@ BOX = {"shape": "box", "centre": [0, 0, 0], "size": [1, 1, 1]}
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"robots": 3}, "unknown field 'robots'"),
+        ({"robots": 3}, "scene: expected the fields .* missing or not known: 'robots'"),
         ({"frames": -1}, "frames: expected a whole number"),
         ({"frames": "many"}, "frames: expected a whole number"),
         ({"cameras": ["ceiling"]}, "'ceiling' is not in the room"),
         ({"room": "nowhere.yaml"}, "cannot read"),
-        ({"objects": [{"id": "a"}]}, "field 'colour' is missing"),
-        ({"objects": [THING]}, "expected parts"),
+        (
+            {"objects": [{"id": "a"}]},
+            r"objects\[0\]: expected the fields .* missing or not known: 'label', 'colour', 'parts'",
+        ),
+        ({"objects": [THING]}, r"objects\[0\]: expected parts, and a path whose frames increase"),
+        ({"objects": [{**THING, "parts": [BOX]}] * 2}, "objects: expected different ids, got .'a', 'a'"),
+        ({"fps": 0}, "fps: expected a finite number > 0, got 0"),
+        ({"vinyl": {"roughness": "none"}}, "room.yaml: vinyl.roughness: expected a finite number > 0, got 'none'"),
         ({"objects": [{**THING, "parts": [{**BOX, "shape": "cone"}]}]}, "expected one of box"),
         ({"objects": [{**THING, "parts": [{**BOX, "size": [1, 0, 1]}]}]}, "three lengths > 0"),
         ({"objects": [{**THING, "parts": [BOX], "path": [{"frame": 0, "at": [0]}]}]}, "expected 2 finite numbers"),
-        ({"objects": 5}, "malformed scene"),
+        ({"objects": 5}, "objects: expected a list of objects, got 5"),
     ],
 )
 def test_a_bad_scene_says_what_is_wrong(tmp_path, changes, message):

@@ -62,6 +62,22 @@ def test_the_bytes_are_those_of_the_documentation() -> None:
     assert cells == bytes(int(v) % 256 for row in GRID for v in row)
 
 
+def test_the_size_travels_and_publishers_that_do_not_know_it_are_understood() -> None:
+    for size in (None, 0.03):
+        sent = message(objects=[{**THINGS[0], "size": size}])
+        assert json.loads(encode(sent)[1])["objects"] == [{**THINGS[0], "size": size}]
+        assert decode(encode(sent)).objects == ({**THINGS[0], "size": size},)
+    assert "size" not in decode(encode(message())).objects[0]
+    for wrong in (-0.1, "big", float("nan")):
+        with pytest.raises(ValueError, match=r"objects\[0\].size: expected a number from 0 to 1e\+12, got"):
+            message(objects=[{**THINGS[0], "size": wrong}])
+
+
+def test_numbers_of_numpy_may_be_sent() -> None:
+    objects = [{**THINGS[0], "x": np.float64(0.5), "colour": np.array([200, 30, 30])}, THINGS[1]]
+    assert message(objects=objects, t_capture=np.float64(10.0)) == message()
+
+
 def test_a_message_does_not_change_with_what_it_was_made_of() -> None:
     grid, entries = GRID.copy(), json.loads(json.dumps(THINGS))
     made = message(data=grid, objects=entries)
