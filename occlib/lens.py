@@ -24,6 +24,9 @@ from occlib.base.arrays import FloatArray, Image, Mask, as_points
 Pose = tuple[FloatArray, FloatArray]
 """Rotation (3, 3) and translation (3,): ``x_camera = rotation @ x_world + translation``."""
 
+SMALLEST_FOCAL_PX, LARGEST_ENTRY_PX = 1e-3, 1e9
+"""Of a matrix that is read from a file: what is beyond is a mistake, or overflows later."""
+
 _NEAREST_DEPTH = 1e-9
 """Points no further in front of the camera than this have no picture; in the unit of the points, m."""
 
@@ -205,7 +208,8 @@ class Lens:
         """
         matrix = checks.numbers(f"{where}matrix", fields.get("matrix"), (3, 3))
         zeros, bottom = (matrix[0, 1], matrix[1, 0]), matrix[2].tolist()
-        if matrix[[0, 1], [0, 1]].min() < 1e-3 or np.abs(matrix).max() > 1e9 or any(zeros) or bottom != [0, 0, 1]:
+        focal, largest = matrix[[0, 1], [0, 1]].min(), np.abs(matrix).max()
+        if focal < SMALLEST_FOCAL_PX or largest > LARGEST_ENTRY_PX or any(zeros) or bottom != [0, 0, 1]:
             raise ValueError(
                 f"{where}matrix: expected [[fx, 0, cx], [0, fy, cy], [0, 0, 1]] in px with fx, fy > 0, got {matrix.tolist()}"
             )
