@@ -1,6 +1,58 @@
 """See around the occluder: two views in, an occlusion-free floor map out.
 
-One module per stage of Khan & Choudhry (2009); ``Pipeline`` strings them together.
+Khan & Choudhry (2009), stage by stage; what goes beyond the paper stands in wings of its own.
+
+The chain
+    pipeline        Fig 3: frames in, map and objects out; profiles and settings
+The paper's stages, none of which imports another
+    calibration     section 2: lens and floor marks from pictures of a checkerboard (Figs 1, 2)
+    foreground      sections 2, 4: background, difference, shadows (Figs 4-6); Otsu's and other thresholds in threshold
+    matching        section 3: SSD and the other template measures in measures, places, thresholds (Eq 1, 2)
+    localization    section 4: centroid, contour, actual size by look-up (Fig 7, Eq 3-5)
+    registration    sections 5, 6: views warped to the floor (Figs 9, 10)
+    occlusion       section 5: AND and the other fusion rules (Figs 8, 11)
+    tracking        section 4: object vectors M{p, V, C}, identities and speeds
+    mapping         section 5: the occupancy map; files of ROS map_server
+What the stages stand on
+    finding         objects as regions of the fused evidence
+    geometry        camera, lens model, floor, rig: conventions and units
+    recordings      folders of pictures or videos, and the public ones that are fetched
+    formats         truth files and files of objects: read and checked
+    metrics         scores of objects and maps against the truth
+    plotting        colours of the map and of the cameras, views, overviews
+    base            files, arrays, interrupts, compiled loops, extras
+Wings
+    explaining      beyond AND: the fewest upright objects that explain all silhouettes
+    live            live cameras; broadcast to robots, late joiners too; messages; bags and topic of ROS
+    robots          paths on the map, and right of way
+    study           which measure, when: trials, sweeps, tables, charts
+    lab             rendered scenes with exact truth: scenes, rendering, crowds, ghosts, missions
+Above them
+    reproduce       notebooks run, figures and metrics published
+    cli             the command ``occlib``
+
+>>> import occlib
+>>> occlib.Rig.__module__
+'occlib.geometry'
 """
 
+import lazy_loader
+
 __version__ = "0.1.0"
+
+_NAMES = {
+    "calibration": ["calibrate_images"],
+    "foreground": ["learn_background"],
+    "matching": ["compare", "find", "similarity"],
+    "occlusion": ["fuse"],
+    "mapping": ["OccupancyMap"],
+    "pipeline": ["Pipeline", "Settings"],
+    "geometry": ["Rig"],
+    "recordings": ["open_recording"],
+    "metrics": ["evaluate"],
+}
+_ROOMS = ["localization", "registration", "tracking", "finding", "formats", "plotting", "base"]
+_WINGS = ["explaining", "live", "robots", "study", "lab", "reproduce"]
+
+# Loaded when first used: `import occlib` and `occlib --help` must not wait for OpenCV and Numba.
+__getattr__, __dir__, __all__ = lazy_loader.attach(__name__, [*_NAMES, *_ROOMS, *_WINGS], _NAMES)

@@ -6,10 +6,13 @@ contract in the README. How a camera's pictures may be stored is a matter of the
 
 from __future__ import annotations
 
+import hashlib
 import os
 import re
+import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +21,7 @@ import numpy as np
 
 from occlib.base import checks
 from occlib.base.arrays import Image
-from occlib.base.files import read_image, read_yaml, write_file
+from occlib.base.files import file_hash, read_image, read_yaml, write_file
 from occlib.geometry import Rig
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg")
@@ -30,10 +33,31 @@ VIDEO_SUFFIXES = (".mp4", ".avi")
 EMPTY_FRAMES = 60
 """At most this many pictures of the empty floor are read: their mean is as sure as the camera's noise lets it be."""
 
-DATA = Path(__file__).resolve().parent.parent / "data"
+DATA = Path(str(resources.files("occlib") / "data"))
+"""What comes with the package: the catalogue of public recordings, and the calibration and truth made for them."""
 
 
-LAB = DATA / "lab"
+def lab_folder() -> Path:
+    """The folder ``data/lab`` of the repository: the recordings that ship with it, and not with the package.
+
+    The repository is the one that the package stands in, else the one in or above the current folder: an installed
+    copy finds it from there. ``OCCLIB_LAB`` goes before both. Where there is none, the path leads nowhere.
+    """
+    if folder := os.environ.get("OCCLIB_LAB"):
+        return Path(folder).resolve()
+    try:
+        here = Path.cwd()
+    except OSError:  # it was removed
+        here = DATA
+    folders = [place / "data" / "lab" for place in (DATA.parents[1], here, *here.parents)]
+    return next((folder for folder in folders if (folder / "manifest.json").is_file()), here / "data" / "lab")
+
+
+LAB = lab_folder()
+
+
+FETCH_TIMEOUT_S = 30.0
+"""A server that says nothing for so long is given up."""
 
 
 DEFAULT_FPS = 10.0
@@ -277,8 +301,7 @@ def open_recording(path: str | Path, cameras: Sequence[str] | None = None) -> Re
     if folder is None:
         if str(path) in public_recordings():
             raise ValueError(f"{path}: not fetched yet; first: occlib data fetch {path}")
-        known = ", ".join(sorted(p.parent.name for p in LAB.glob("*/rig.yaml")))
-        raise ValueError(f"{path}: no such recording folder (data/lab has {known})")
+        raise ValueError(f"{path}: no such recording folder ({lab_recordings()})")
     rig = Rig.load(folder / "rig.yaml").select(cameras)
     sources = {name: _footage_of(folder, name) for name in rig.cameras}
     if any(isinstance(source.files, Path) for source in sources.values()):  # in a video, the position is the number
@@ -294,6 +317,16 @@ def open_recording(path: str | Path, cameras: Sequence[str] | None = None) -> Re
     rate = next(fps for fps in said if fps is not None)
     fps = checks.number(f"{folder / 'rig.yaml'}: fps", rate, least=1e-6, most=1e6, expected="frames a second > 0")
     return Recording(folder, rig, frames, fps, sources)
+
+
+def lab_recordings() -> str:
+    """For messages: which recordings ``data/lab`` has, or why there is none."""
+    if LAB.is_dir():
+        return f"data/lab has {', '.join(sorted(p.parent.name for p in LAB.glob('*/rig.yaml')))}"
+    return (
+        "data/lab ships with the repository, not with the package: run this in the repository's folder, or set "
+        "OCCLIB_LAB to its folder data/lab"
+    )
 
 
 def parse_frames(text: str, frames: Sequence[int]) -> list[int]:
@@ -339,9 +372,13 @@ def _span(numbers: Sequence[int]) -> str:
 
 def cache_folder() -> Path:
     """Where fetched recordings are kept: ``OCCLIB_CACHE``, or the user's cache folder."""
-    import pooch
-
-    return Path(os.environ.get("OCCLIB_CACHE") or pooch.os_cache("occlib"))
+    if folder := os.environ.get("OCCLIB_CACHE"):
+        return Path(folder)
+    if sys.platform == "win32":
+        return Path(os.environ.get("LOCALAPPDATA") or os.path.expanduser("~/AppData/Local"), "occlib/occlib/Cache")
+    if sys.platform == "darwin":
+        return Path(os.path.expanduser("~/Library/Caches/occlib"))
+    return Path(os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache"), "occlib")
 
 
 def public_recordings(path: str | Path = DATA / "sources.yaml") -> dict[str, Any]:
@@ -352,7 +389,7 @@ def public_recordings(path: str | Path = DATA / "sources.yaml") -> dict[str, Any
 def fetch(name: str, *, catalogue: str | Path = DATA / "sources.yaml", progress: bool = False) -> Path:
     """Download a public recording to the cache, unless it is there, and check every file's SHA-256.
 
-    Calibration and truth that were made for a recording (``data/NAME``) are put beside its frames.
+    Calibration and truth that were made for a recording (``occlib/data/NAME``) are put beside its frames.
 
     Returns
     -------
@@ -363,21 +400,34 @@ def fetch(name: str, *, catalogue: str | Path = DATA / "sources.yaml", progress:
     ValueError
         In one line: unknown name, no network, or a file whose checksum is wrong (it is not kept).
     """
-    import pooch
     from tqdm import tqdm
 
     known = public_recordings(catalogue)
     if name not in known:
         raise ValueError(f"{name}: not a public recording; there are {', '.join(known)}")
     source, folder = known[name], cache_folder() / name
-    pooch.get_logger().setLevel("ERROR")
     for target, file in tqdm(source["files"].items(), desc=name, unit="file", disable=not progress):
+        if file_hash(folder / target) == file["sha256"]:
+            continue
         try:
-            pooch.retrieve(
-                source["url"] + file["name"], "sha256:" + file["sha256"], Path(target).name, (folder / target).parent
-            )
-        except (OSError, ValueError) as error:
+            write_file(folder / target, _download(source["url"] + file["name"], file["sha256"]))
+        except ValueError as error:
             raise ValueError(f"{name}: cannot fetch {target} ({error})") from None
     for extra in sorted((DATA / name).glob("*")):
         write_file(folder / extra.name, extra.read_bytes())
     return folder
+
+
+def _download(url: str, sha256: str) -> bytes:
+    """The content of a URL; ``ValueError`` if there is none, or another than the checksum says."""
+    from http.client import HTTPException
+    from urllib.request import urlopen
+
+    try:
+        with urlopen(url, timeout=FETCH_TIMEOUT_S) as response:
+            content = bytes(response.read())
+    except (OSError, HTTPException) as error:
+        raise ValueError(str(error)) from None
+    if (found := hashlib.sha256(content).hexdigest()) != sha256:
+        raise ValueError(f"its SHA-256 hash is {found}, expected {sha256}")
+    return content

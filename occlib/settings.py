@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from occlib.explaining.explainer import Explaining
+from occlib.explaining import Explaining
 from occlib.finding import Regions
 from occlib.foreground.evidence import Difference
 from occlib.foreground.shadows import ShadowModel

@@ -6,9 +6,9 @@ Files are written with OpenCV alone, so that a wrong channel order or layout in 
 
 from __future__ import annotations
 
-import builtins
 import json
 import signal
+import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -35,7 +35,8 @@ SIZE, FLOOR_GREY = (160, 120), (170, 170, 170)
 
 
 ONCE = ("finished", "outcomes", "real_room", "scheduler")
-"""Fixtures that take seconds. Tests that share one run in the same process, so that it is made once."""
+"""Fixtures that take seconds. Tests that share one run in the same process, so that it is made once; so do those of the group
+``alone``, whose clocks, signals and ports should not meet."""
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
@@ -167,13 +168,8 @@ def hide_package(monkeypatch: pytest.MonkeyPatch) -> Callable[[str], None]:
     """``hide_package(name)``: from now on the package cannot be imported, as if it were not installed."""
 
     def hide(package: str) -> None:
-        real = builtins.__import__
-
-        def without(name: str, *args: Any, **options: Any) -> Any:
-            if name.startswith(package):
-                raise ImportError(name)
-            return real(name, *args, **options)
-
-        monkeypatch.setattr(builtins, "__import__", without)
+        loaded = [name for name in sys.modules if name.startswith(f"{package}.")]
+        for name in (package, *loaded):
+            monkeypatch.setitem(sys.modules, name, None)
 
     return hide

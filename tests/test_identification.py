@@ -114,6 +114,7 @@ def test_the_paper_profile_labels_the_robots_and_measures_them_by_the_table() ->
     assert [len(view) for view in seen] == [1] * len(seen)
 
 
+@pytest.mark.slow
 def test_given_pictures_name_the_objects(tmp_path: Path) -> None:
     recording = open_recording("robot", ["left", "right"])
     backgrounds = backgrounds_of(recording)

@@ -388,3 +388,20 @@ def test_foreground_scores_count_what_they_say() -> None:
     assert all(math.isnan(value) for value in nothing.values())
     with pytest.raises(ValueError, match="mask, truth, difference: expected bool, bool and numbers of one shape"):
         foreground_scores(mask, truth[:5], difference)
+
+
+# --- identity ------------------------------------------------------------------------------------------------
+def test_labels_are_right_wrong_or_missing_and_sizes_are_ratios() -> None:
+    square = [(0.0, 0.0), (0.5, 0.0), (0.5, 0.4), (0.0, 0.4)]
+    truth = Truth({f: [TrueObject(id="A", x=0, y=0, footprint=square), TrueObject(id="B", x=2, y=0)] for f in range(4)})
+    labels = [("x", "y"), ("x", "y"), ("y", "x"), (None, "y")]
+    found = {
+        f: [DetectedObject(x=0, y=0, label=a, size=0.4), DetectedObject(x=2, y=0.1, label=b, size=0.3)]
+        for f, (a, b) in enumerate(labels)
+    }
+    score = metrics.evaluate_identity(found, truth)
+    assert (score.right, score.wrong, score.unlabelled) == (5, 2, 1)
+    assert score.label_of == {"A": "x", "B": "y"}
+    assert score.size_ratio == {"A": pytest.approx(2.0)}
+    nothing = metrics.evaluate_identity({}, truth)
+    assert (nothing.right, nothing.wrong, nothing.unlabelled, nothing.label_of) == (0, 0, 0, {})

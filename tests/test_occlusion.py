@@ -81,6 +81,7 @@ KINDS: dict[str, st.SearchStrategy[Array]] = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rule", ["and", "or"])
 @pytest.mark.parametrize("kind", KINDS)
 @given(data=st.data())
@@ -166,6 +167,7 @@ def assert_is(fused: Array, expected: Array) -> None:
         assert np.abs(fused - scale * expected).max() <= spare
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [1, 2, 3, 4, 5])
 @pytest.mark.parametrize("rule", ["most", "product", "log-odds"])
 @settings(max_examples=20, deadline=None)

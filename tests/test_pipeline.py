@@ -427,6 +427,7 @@ def least_coverage(results: Mapping[int, FrameResult], truth: Truth, floor: Floo
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("settings", [AND, settings_for()])
 def test_ball_and_oval_left_alone_maps_one_object_both_views_two(settings: Settings) -> None:
     path = lab("ball_and_oval")
@@ -440,6 +441,7 @@ def test_ball_and_oval_left_alone_maps_one_object_both_views_two(settings: Setti
         assert ball.colour[0] > 1.5 * ball.colour[2] and oval.colour[2] > 1.5 * oval.colour[0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "settings"),
     [
@@ -476,6 +478,7 @@ def test_each_footprint_lies_around_its_position() -> None:
             assert math.dist(middle, thing.position_m) < 0.03
 
 
+@pytest.mark.slow
 def test_long_occlusion_keeps_the_hidden_robot_on_the_map_in_every_frame() -> None:
     results, truth, _ = run(lab("long_occlusion"), ["left", "right"])
     scored = score(results, truth, radius=0.3)
@@ -487,6 +490,7 @@ def test_long_occlusion_keeps_the_hidden_robot_on_the_map_in_every_frame() -> No
     assert np.mean(said) >= 0.9
 
 
+@pytest.mark.slow
 def test_four_robots_with_the_papers_two_cameras() -> None:
     results, truth, _ = run(lab("four_robots"), ["left", "right"])
     scored = score(results, truth, radius=0.3)
@@ -494,6 +498,7 @@ def test_four_robots_with_the_papers_two_cameras() -> None:
     assert scored.error_median_m is not None and scored.error_median_m <= 0.02
 
 
+@pytest.mark.slow
 def test_who_is_hidden_is_said_and_nobody_else() -> None:
     """Against the true hidden fractions (at least 0.9) of both recordings with robots that hide each other, every frame."""
     found = []
@@ -505,6 +510,7 @@ def test_who_is_hidden_is_said_and_nobody_else() -> None:
     assert right > 80 and right / (right + wrong) >= 0.95 and right / (right + missed) >= 0.95
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["long_occlusion", "four_robots"])
 def test_every_object_keeps_its_identity_and_has_its_velocity(name: str) -> None:
     """No switch and no loss through total occlusion; the true velocity is that of a second."""
@@ -527,6 +533,7 @@ def test_every_object_keeps_its_identity_and_has_its_velocity(name: str) -> None
     assert np.median(errors[len(ids) :]) <= 0.05
 
 
+@pytest.mark.slow
 def test_four_robots_with_four_cameras_claim_less_floor_than_with_two() -> None:
     path = lab("four_robots")
     two, truth, floor = run(path, ["left", "right"], every=20)
@@ -549,6 +556,7 @@ UFES = {
 """The cameras of the README's table, and the regions that they are scored in."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("cameras", UFES, ids="+".join)
 def test_ufes_lab_two_people_in_a_real_room(
     shared_data: Callable[[str], Path], real_room: dict[str, Background], cameras: tuple[str, ...]
@@ -663,6 +671,7 @@ def test_a_frozen_picture_does_not_hold_an_object_where_it_was(tiny_rig: Rig, dr
     assert pipeline.process(draw([moved]), 1.0).excluded == {}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("reason", ["missing", "black", "covered", "frozen"])
 def test_four_cameras_go_on_with_three(reason: str) -> None:
     """The damaged camera neither deletes nor adds an object, and little of the map is lost."""
@@ -706,6 +715,7 @@ def test_cores_part_robots_whose_shadows_touch() -> None:
     assert len(Pipeline(recording.rig, backgrounds).process(images, 5.2).objects) == 4  # no cores needed
 
 
+@pytest.mark.slow
 def test_templates_name_the_robots_and_bring_their_ids_back() -> None:
     """Templates cut from the first frame; then the floor is empty for two seconds, and the robots stand elsewhere."""
     recording = open_recording("four_robots", ["left", "right"])

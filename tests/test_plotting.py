@@ -280,6 +280,7 @@ def test_overview_counts_one_object_in_the_singular_and_takes_one_camera(tiny_ri
     assert fig.get_suptitle() == ""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("picture", "text"), [("none", "no picture"), ("absent", "no picture"), ("dark", "black, not used")]
 )

@@ -26,8 +26,8 @@ from hypothesis import strategies as st
 from occlib import recordings
 from occlib.base import files as files_module
 from occlib.base.files import encode_image, read_image, read_yaml, staged_folder, write_file, write_image
-from occlib.explaining.appearance import read_templates
 from occlib.geometry import Rig
+from occlib.identification import read_templates
 from occlib.recordings import Footage, check_size, fetch, input_format, open_recording, parse_frames
 
 Array = np.ndarray[Any, Any]
@@ -657,7 +657,7 @@ def test_fetch_refuses_a_wrong_checksum(catalogue: Path, tmp_path: Path) -> None
 
 def test_fetch_of_a_file_that_the_server_lacks(catalogue: Path, tmp_path: Path) -> None:
     (tmp_path / "public/left.mp4").unlink()
-    with pytest.raises(ValueError, match=r"demo: cannot fetch frames/left.mp4 \(404"):
+    with pytest.raises(ValueError, match=r"demo: cannot fetch frames/left.mp4 \(HTTP Error 404"):
         fetch("demo", catalogue=catalogue)
     assert not [p for p in (tmp_path / "cache").rglob("*") if p.is_file()]
 

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 import numpy.typing as npt
-import pandas as pd
-from scipy import stats
+import scipy  # whose `stats` loads when used, and slowly
 
 from occlib.base.arrays import FloatArray
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 STEP = 0.05  # of an area, the least that a lost target costs
 
@@ -18,7 +22,7 @@ def wilson_interval(hits: npt.ArrayLike, count: npt.ArrayLike) -> tuple[FloatArr
     >>> [round(float(end), 3) for end in wilson_interval(8, 10)]
     [0.49, 0.943]
     """
-    k, n, z = np.asarray(hits, float), np.asarray(count, float), float(stats.norm.ppf(0.975))
+    k, n, z = np.asarray(hits, float), np.asarray(count, float), float(scipy.stats.norm.ppf(0.975))
     n = np.where(n > 0, n, np.nan)
     middle = (k + z * z / 2) / (n + z * z)
     half = z / (n + z * z) * np.sqrt(k * (n - k) / n + z * z / 4)
@@ -35,7 +39,7 @@ def t_interval(values: npt.ArrayLike) -> tuple[float, float, float]:
     kept = kept[np.isfinite(kept)]
     if len(kept) < 2:
         return (float(kept[0]) if len(kept) else np.nan), np.nan, np.nan
-    half = float(stats.t.ppf(0.975, len(kept) - 1) * kept.std(ddof=1) / np.sqrt(len(kept)))
+    half = float(scipy.stats.t.ppf(0.975, len(kept) - 1) * kept.std(ddof=1) / np.sqrt(len(kept)))
     return float(kept.mean()), float(kept.mean()) - half, float(kept.mean()) + half
 
 
@@ -48,6 +52,7 @@ def stratified_interval(values: pd.Series[float]) -> tuple[float, float, float]:
     of ``n`` may still happen to 3 of ``n`` (the rule of three), and then costs an area a step. NaN are left out, and
     there are no ends where a source has one seed.
 
+    >>> import pandas as pd
     >>> index = pd.MultiIndex.from_product([["a", "b"], [0, 1, 2]], names=["source", "seed"])
     >>> [round(end, 3) for end in stratified_interval(pd.Series([1, 2, 3, 11, 12, 13.0], index))]
     [7.0, 5.867, 8.133]
@@ -58,7 +63,7 @@ def stratified_interval(values: pd.Series[float]) -> tuple[float, float, float]:
     if (groups.size() < 2).any():
         return mean, np.nan, np.nan
     variance = max(variance, 3 / groups.size().sum() * STEP**2)
-    half = float(stats.t.ppf(0.975, freedom) * np.sqrt(variance * (1 / groups.size()).sum()) / len(groups))
+    half = float(scipy.stats.t.ppf(0.975, freedom) * np.sqrt(variance * (1 / groups.size()).sum()) / len(groups))
     return mean, mean - half, mean + half
 
 

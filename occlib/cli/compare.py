@@ -43,7 +43,7 @@ def add(commands: Commands) -> None:
 def compare(args: argparse.Namespace) -> int:
     """Print what each measure found, and draw it."""
     check_png(args.out, "--out")
-    from occlib.study import compare_pictures, comparison_table
+    from occlib.study import compare_pictures, comparison_rows
 
     results = compare_pictures(
         args.image,
@@ -56,16 +56,37 @@ def compare(args: argparse.Namespace) -> int:
         matchers=args.matchers or None,
         out=args.out,
     )
-    table = comparison_table(results)
+    rows = comparison_rows(results)
     if args.json:
-        rows = json.loads(table.to_json(orient="index"))
-        for name, result in results.items():
-            rows[name]["found"] = [{"centre_px": match.centre_px, "score": match.score} for match in result.matches]
-        print(json.dumps(rows))
+        found = {
+            name: [{"centre_px": match.centre_px, "score": match.score} for match in result.matches]
+            for name, result in results.items()
+        }
+        finite = {name: {key: _finite(value) for key, value in row.items()} for name, row in rows.items()}
+        print(json.dumps({name: {**row, "found": found[name]} for name, row in finite.items()}))
         return 0
-    text = table.assign(**{name: table[name].astype(object).where(table[name].notna(), "-") for name in ("x", "y")})
-    print(text.to_string(float_format="{:.4g}".format, na_rep="-"))
-    if blank := [str(name) for name in table.index[table["best"].isna()]]:
+    print(_table(rows))
+    if blank := [name for name, row in rows.items() if row["best"] is None]:
         print(f"{', '.join(blank)}: the same score everywhere; the template or the image has no contrast, or no edges")
     print(f"{args.out}: similarity images, thresholds and matches")
     return 0
+
+
+def _finite(value: float | None) -> float | None:
+    return value if value is not None and abs(value) < float("inf") else None
+
+
+def _table(rows: dict[str, dict[str, float | None]]) -> str:
+    """Named rows in columns, numbers to four digits and ``-`` for none."""
+    lines = [["", *next(iter(rows.values()))]]
+    lines.append(["method"] + [""] * (len(lines[0]) - 1))
+    for name, row in rows.items():
+        lines.append(
+            [
+                name,
+                *("-" if v is None or v != v else f"{v:.4g}" if isinstance(v, float) else str(v) for v in row.values()),
+            ]
+        )
+    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+    texts = ["  ".join([line[0].ljust(widths[0]), *map(str.rjust, line[1:], widths[1:])]) for line in lines]
+    return "\n".join(text.rstrip() for text in texts)

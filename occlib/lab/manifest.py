@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from occlib.base.files import read_yaml, write_file
-from occlib.recordings import LAB
+from occlib.recordings import LAB, lab_recordings
 
 
 def write_manifest(lab_dir: str | Path = LAB, *, spp: int = 6, llvm: str | None = None) -> Path:
@@ -37,6 +37,8 @@ def write_manifest(lab_dir: str | Path = LAB, *, spp: int = 6, llvm: str | None 
 def verify_manifest(lab_dir: str | Path = LAB) -> list[str]:
     """What differs from the manifest, one line a file; an empty list if nothing does."""
     lab = Path(lab_dir)
+    if not lab.is_dir():
+        raise ValueError(f"{lab}: no such folder ({lab_recordings()})")
     try:
         expected = json.loads((lab / "manifest.json").read_text(encoding="utf-8"))["files"]
     except (OSError, ValueError, KeyError, TypeError) as error:

@@ -24,10 +24,10 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-import pandas as pd
 from tqdm import tqdm
 
 from occlib.base.arrays import FloatArray, Mask
+from occlib.base.extras import pandas as pd
 from occlib.base.intervals import t_interval
 from occlib.explaining import Cylinder, Explainer, footprints
 from occlib.geometry import Floor

@@ -21,13 +21,12 @@ import yaml
 
 from occlib.base import checks
 from occlib.base.arrays import FloatArray, Image, Mask
+from occlib.base.extras import MissingExtraError, check_extra, import_extra
 from occlib.base.files import encode_image, staged_folder, write_file
 from occlib.geometry import Camera, Rig
 from occlib.lab.scenes import BOARD_PATTERN, Board, Scene, floor_board
 from occlib.lab.shapes import Part, hit_distance, unit_mesh
 from occlib.lab.truth import depth_image, ground_truth
-
-INSTALL_HINT = "rendering needs Mitsuba 3 with LLVM and OIDN: pip install occlib[render]"
 
 
 def load_mitsuba() -> Any:
@@ -41,16 +40,16 @@ def load_mitsuba() -> Any:
                 if (found := llvm.parent / "x86_64-unknown-linux-gnu" / library).exists():
                     # Not RTLD_GLOBAL: libc++abi would take over the C++ exceptions of every other library.
                     ctypes.CDLL(str(found), mode=ctypes.RTLD_LOCAL)
-        import drjit
-        import mitsuba
-        import pyoidn  # noqa: F401
-
+        drjit, mitsuba = import_extra("drjit", "render"), import_extra("mitsuba", "render")
+        check_extra("pyoidn", "render")
         mitsuba.set_variant("llvm_ad_rgb")
         version = int(drjit.detail.llvm_version()[0])
         if not 19 <= version <= 22:  # older and newer ones abort the whole process on a real scene
             raise ImportError(f"LLVM {version} cannot compile Mitsuba's kernels, 19 to 22 can: karellen-llvm-core<23")
+    except MissingExtraError:
+        raise
     except (ImportError, OSError) as error:
-        raise ValueError(f"{INSTALL_HINT} ({error})") from None
+        raise ValueError(f"rendering needs Mitsuba 3 with LLVM 19 to 22: {error}") from None
     return mitsuba
 
 

@@ -28,7 +28,7 @@ from occlib.formats.scene import RGB, BoardEntry, FloorBoardEntry, ObjectEntry, 
 from occlib.geometry import Camera, Floor, Rig, look_at
 from occlib.lab.shapes import SHAPES, Part, rotation_xyz, unit_mesh
 from occlib.lens import Lens
-from occlib.recordings import LAB
+from occlib.recordings import LAB, lab_recordings
 
 T = TypeVar("T")
 
@@ -144,6 +144,8 @@ def load_scene(source: str | Path) -> Scene:
     path = Path(source)
     if not path.exists() and (LAB / str(source) / "scene.yaml").exists():
         path = LAB / str(source)
+    if not path.exists() and len(path.parts) == 1:
+        raise ValueError(f"{source}: no such scene ({lab_recordings()})")
     path = path / "scene.yaml" if path.is_dir() else path
     content = _read(path, SceneFile, "scene")
     room_path = path.parent / content.room

@@ -15,6 +15,7 @@ from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
+from occlib.base.extras import import_extra
 from occlib.mapping import OccupancyMap
 
 FORMATS = ("mcap", "ros2", "ros1")
@@ -172,7 +173,4 @@ def check_format(format: str, *, name: str = "format") -> None:
     """``ValueError`` unless such a bag can be written here: names the formats, or the extra to install."""
     if format not in FORMATS:
         raise ValueError(f"{name}: expected one of {', '.join(FORMATS)}, got {format!r}")
-    try:
-        import rosbags.typesys  # noqa: F401
-    except ImportError:
-        raise ValueError('bags need the package rosbags: pip install "occlib[ros]"') from None
+    import_extra("rosbags.typesys", "ros")

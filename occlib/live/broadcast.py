@@ -22,15 +22,21 @@ from collections import deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, Self, TypeAlias
+from typing import TYPE_CHECKING, Any, Self, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
-import zmq.auth
-from zmq.utils import z85
 
+from occlib.base.extras import lazy_extra
 from occlib.geometry import Floor
 from occlib.live.messages import LAST, MAX_CELLS, MAX_HEADER, TOPIC, Message, decode, encode, short
+
+if TYPE_CHECKING:
+    import zmq
+    from zmq import auth
+    from zmq.utils import z85
+else:
+    zmq, auth, z85 = lazy_extra("zmq", "live"), lazy_extra("zmq.auth", "live"), lazy_extra("zmq.utils.z85", "live")
 
 __all__ = ["Listener", "Message", "Publisher", "decode", "encode", "keygen"]
 
@@ -64,7 +70,7 @@ def keygen(folder: str | Path, name: str) -> tuple[Path, Path]:
         if there := next((path for path in paths if os.path.lexists(path)), None):
             raise ValueError(f"{there}: is there already, and is not overwritten")
         with tempfile.TemporaryDirectory(dir=folder, prefix=".keygen.") as hidden:  # which only its owner may enter
-            for made, path, mode in zip(zmq.auth.create_certificates(hidden, name), paths, (0o644, 0o600), strict=True):
+            for made, path, mode in zip(auth.create_certificates(hidden, name), paths, (0o644, 0o600), strict=True):
                 os.chmod(made, mode)
                 os.rename(made, path)
     except OSError as error:
@@ -75,7 +81,7 @@ def keygen(folder: str | Path, name: str) -> tuple[Path, Path]:
 def _load_key(path: Keys, *, secret: bool = False) -> tuple[bytes, bytes]:
     """The public and the secret key in a file; the latter is empty unless asked for."""
     try:
-        public, private = zmq.auth.load_certificate(Path(path))
+        public, private = auth.load_certificate(Path(path))
         z85.decode(public)
         valid = len(public) == 40 and (not secret or zmq.curve_public(private or b"") == public)
     except OSError as error:

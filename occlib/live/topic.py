@@ -10,6 +10,7 @@ from types import TracebackType
 from typing import Any
 
 from occlib.base import checks
+from occlib.base.extras import import_extra
 from occlib.live.bags import TYPE, grid_message
 from occlib.mapping import OccupancyMap
 
@@ -99,12 +100,10 @@ def latched() -> Any:
 
 def message_types() -> dict[str, Any]:
     """The DDS types that make up ``nav_msgs/OccupancyGrid``, by their ROS names; their fields are those of ROS 2."""
-    try:
-        from cyclonedds.idl import make_idl_struct
-        from cyclonedds.idl.types import float32, float64, int8, int32, uint32
-        from cyclonedds.idl.types import sequence as sequence_type
-    except ImportError:
-        raise ValueError('the topic needs the package cyclonedds: pip install "occlib[ros2]"') from None
+    import_extra("cyclonedds.idl", "ros2")
+    from cyclonedds.idl import make_idl_struct
+    from cyclonedds.idl.types import float32, float64, int8, int32, uint32
+    from cyclonedds.idl.types import sequence as sequence_type
 
     sequence: Any = sequence_type  # for mypy: generic through its metaclass
     made: dict[str, Any] = {}

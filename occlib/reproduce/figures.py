@@ -28,8 +28,7 @@ from occlib.plotting import (
 if TYPE_CHECKING:
     import pandas as pd
 
-    from occlib.explaining.cylinders import Cylinder
-    from occlib.explaining.evidence import PolarWarp
+    from occlib.explaining import Cylinder, PolarWarp
     from occlib.formats import TrueObject, Truth
     from occlib.pipeline import FrameResult
 

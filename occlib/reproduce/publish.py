@@ -32,6 +32,7 @@ from typing import TYPE_CHECKING, Any
 import cv2
 
 import occlib
+from occlib.base.extras import check_extra
 from occlib.base.files import file_hash, folder_hash, load_json, write_file
 from occlib.base.interrupts import uninterrupted
 from occlib.recordings import cache_folder, public_recordings
@@ -39,6 +40,7 @@ from occlib.reproduce.runner import (
     PACKAGE,
     Metrics,
     Run,
+    check_copy,
     execute,
     find_root,
     notebook_parameters,
@@ -149,6 +151,8 @@ def notebook_results(name: str | Path, **options: Any) -> dict[str, float]:
 
 
 def _plan(home: Path, notebooks: Iterable[str | Path] | None, given: Mapping[str, Any]) -> list[Run]:
+    check_extra("papermill", "notebooks")
+    check_copy(home)
     versions = {"occlib": occlib.__version__, "cv2": cv2.__version__, "python": platform.python_version()}
     versions |= {library: importlib.metadata.version(library) for library in _LIBRARIES}
     versions |= {"platform": f"{platform.system()} {platform.machine()}"}

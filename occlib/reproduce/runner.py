@@ -20,8 +20,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from occlib.base.files import file_hash, load_json, write_file
+from occlib.base.extras import import_extra
+from occlib.base.files import file_hash, folder_hash, load_json, write_file
 from occlib.base.interrupts import stoppable
+from occlib.recordings import LAB
 
 PACKAGE = Path(__file__).resolve().parents[1]
 
@@ -42,6 +44,13 @@ def find_root(start: str | Path | None = None) -> Path:
         if (folder / "notebooks").is_dir():
             return folder
     raise ValueError(f"no notebooks/ folder in or above {here}: run this in the project's folder")
+
+
+def check_copy(root: Path) -> None:
+    """``ValueError`` if this package is a copy, as of ``pip install .``, and not the same as the project's own."""
+    own = root / PACKAGE.name
+    if own.is_dir() and own != PACKAGE and folder_hash(own, "*.py") != folder_hash(PACKAGE, "*.py"):
+        raise ValueError(f"occlib runs from {PACKAGE}, a copy that differs from {own}; first: pip install -e .")
 
 
 def select_notebooks(names: Iterable[str | Path] | None = None, root: str | Path | None = None) -> list[Path]:
@@ -176,7 +185,7 @@ def _start(run: Run, work: Path) -> subprocess.Popen[bytes]:
     python_path = os.pathsep.join(filter(None, [str(PACKAGE.parent), os.environ.get("PYTHONPATH")]))
     environment = os.environ | dict.fromkeys(_ONE_THREAD, "1")
     environment |= {"OCCLIB_RUN_DIR": str(results), "PYTHONPATH": python_path, "PYTHONHASHSEED": "0"}
-    environment |= {"MPLBACKEND": "module://matplotlib_inline.backend_inline"}
+    environment |= {"OCCLIB_LAB": str(LAB), "MPLBACKEND": "module://matplotlib_inline.backend_inline"}
     own = {"MATPLOTLIBRC": "cwd/matplotlibrc", "JUPYTER_PATH": "jupyter", "JUPYTER_CONFIG_DIR": "config"}
     own |= {"JUPYTER_RUNTIME_DIR": "runtime", "IPYTHONDIR": "ipython"} | dict.fromkeys(("TMPDIR", "TMP", "TEMP"), ".")
     environment |= {name: str(work / path) for name, path in own.items()}
@@ -239,8 +248,7 @@ def _collect(run: Run, work: Path, seconds: float) -> None:
 
 def _kill(process: subprocess.Popen[bytes]) -> None:
     """End a notebook's process and its kernel, which lives in a session of its own."""
-    import psutil
-
+    psutil = import_extra("psutil", "notebooks")
     with suppress(psutil.NoSuchProcess):
         for child in psutil.Process(process.pid).children(recursive=True):
             with suppress(psutil.NoSuchProcess):

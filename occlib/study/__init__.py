@@ -1,8 +1,8 @@
 """Which measure, when: trials under every condition, tables and charts (section 3)."""
 # fmt: off
 
-from occlib.study.charts import best_place, comparison_figure, comparison_table, contact_sheet, frame_place, heatmap
-from occlib.study.charts import is_constant, level_curves, measure_styles, precision_recall_curves, runtime_curves
+from occlib.study.charts import best_place, comparison_figure, comparison_rows, comparison_table, contact_sheet
+from occlib.study.charts import frame_place, heatmap, is_constant, level_curves, measure_styles, precision_recall_curves, runtime_curves
 from occlib.study.charts import score_histogram, verdict_figure
 from occlib.study.conditions import CONDITIONS, Condition
 from occlib.study.pictures import compare_pictures
@@ -21,6 +21,7 @@ __all__ = [
     "best_place",
     "compare_pictures",
     "comparison_figure",
+    "comparison_rows",
     "comparison_table",
     "contact_sheet",
     "fixed_thresholds",

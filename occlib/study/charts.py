@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
-import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
 
 from occlib.base.arrays import Image
+from occlib.base.extras import pandas as pd
 from occlib.matching.thresholds import ROUNDING
 from occlib.plotting import show_image, show_matches, show_similarity
 from occlib.study.conditions import CONDITIONS
@@ -54,25 +54,31 @@ LABELS = {
 }
 
 
-def comparison_table(results: Mapping[str, Comparison]) -> pd.DataFrame:
-    """One row a measure: best score and where (top-left px), threshold, number of matches, time in ms.
+def comparison_rows(results: Mapping[str, Comparison]) -> dict[str, dict[str, float | None]]:
+    """For each measure: best score and where (``x``, ``y``, top-left px), threshold, number of matches, time in ms.
 
-    Without best place where all scores are equal, as those of a template without contrast or edges.
+    No best place (``None``) where all scores are equal, as those of a template without contrast or edges; no
+    threshold (``NaN``) where there is none for the measure.
     """
-    rows = {}
+    rows: dict[str, dict[str, float | None]] = {}
     for name, result in results.items():
         y, x = best_place(result)
         told = not is_constant(result.score) or result.score.size == 1
         rows[name] = {
-            "best": float(result.score[y, x]) if told else np.nan,
-            "x": x if told else pd.NA,
-            "y": y if told else pd.NA,
+            "best": float(result.score[y, x]) if told else None,
+            "x": x if told else None,
+            "y": y if told else None,
             "threshold": result.threshold,
             "matches": len(result.matches),
             "ms": 1e3 * result.seconds,
         }
-    table = pd.DataFrame.from_dict(rows, orient="index").rename_axis("method")
-    return table.astype({"x": "Int64", "y": "Int64"})
+    return rows
+
+
+def comparison_table(results: Mapping[str, Comparison]) -> pd.DataFrame:
+    """:func:`comparison_rows` as a table, one row a measure."""
+    table = pd.DataFrame.from_dict(comparison_rows(results), orient="index").rename_axis("method")
+    return table.astype({"best": float, "x": "Int64", "y": "Int64"})
 
 
 def is_constant(score: npt.NDArray[np.float64]) -> bool:

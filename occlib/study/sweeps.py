@@ -32,6 +32,7 @@ from functools import lru_cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, TypeAlias, TypeVar
 
+from occlib.base.extras import check_extra, import_extra
 from occlib.base.files import folder_hash, load_json, staged_folder, write_file
 from occlib.base.interrupts import stoppable, uninterrupted
 
@@ -121,6 +122,8 @@ def run_batches(
         On Ctrl-C, SIGTERM or SIGHUP; its message says how to go on. No worker is left behind.
     """
     _check(batches, jobs, scheduler)
+    for package in ("joblib", "pandas", "psutil", "threadpoolctl"):
+        check_extra(package, "study")
     expected = versions()
     with _locked(Path(out)), stoppable():
         store = _Store(Path(out), json.loads(json.dumps({"versions": expected, **(inputs or {})})))
@@ -337,8 +340,8 @@ def _one_thread() -> Iterator[None]:
     """One thread for OpenCV, BLAS, OpenMP and numba: sums in the same order, and no two workers for one core."""
     import cv2
     import numba
-    from threadpoolctl import threadpool_limits
 
+    threadpool_limits = import_extra("threadpoolctl", "study").threadpool_limits
     pools = [(cv2.setNumThreads, cv2.getNumThreads()), (numba.set_num_threads, numba.get_num_threads())]
     try:
         for limit, _ in pools:
@@ -417,18 +420,14 @@ def _begin_worker(parent: int) -> None:
 
 
 def _end_with(parent: int, adopted_by: int) -> None:
-    import psutil
-
+    psutil = import_extra("psutil", "study")
     while psutil.pid_exists(parent) and os.getppid() == adopted_by:  # the dead have a pid until somebody asks for them
         time.sleep(POLL_S)
     os._exit(1)
 
 
 def _on_cluster(work: Work, batches: Sequence[Keyed], scheduler: str) -> Generator[Done, None, None]:
-    try:
-        import distributed
-    except ImportError:
-        raise ValueError('scheduler: needs Dask: pip install "occlib[dask]"') from None
+    distributed = import_extra("distributed", "dask")
     for name in ("distributed", "distributed.client"):  # what goes wrong is told here, in one line
         logging.getLogger(name).setLevel(logging.CRITICAL)
     try:

@@ -17,10 +17,10 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-import pandas as pd
 from scipy import integrate
 
 from occlib.base.arrays import FloatArray
+from occlib.base.extras import pandas as pd
 from occlib.base.intervals import _log_interval, stratified_interval, t_interval, wilson_interval
 from occlib.study.conditions import CONDITIONS
 from occlib.study.trials import WRONG, known_names

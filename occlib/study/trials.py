@@ -18,10 +18,11 @@ from typing import Any, NamedTuple, TypeAlias
 
 import cv2
 import numpy as np
-import pandas as pd
 
 from occlib import formats, lab, matching, recordings
 from occlib.base.arrays import FloatArray, Image
+from occlib.base.extras import import_extra
+from occlib.base.extras import pandas as pd
 from occlib.foreground.intensity import to_grey
 from occlib.geometry import Camera
 from occlib.study.conditions import CONDITIONS
@@ -109,9 +110,11 @@ def _views(source: str, seed: int) -> dict[int, View]:
 @lru_cache(maxsize=len(PHOTOGRAPHS))
 def _photograph(name: str) -> Image:
     import skimage.data
-    from sklearn.datasets import load_sample_image  # type: ignore[import-untyped, unused-ignore]
 
-    picture = load_sample_image(f"{name}.jpg") if name in ("china", "flower") else getattr(skimage.data, name)()
+    if name in ("china", "flower"):
+        picture = import_extra("sklearn.datasets", "study").load_sample_image(f"{name}.jpg")
+    else:
+        picture = getattr(skimage.data, name)()
     return picture if picture.ndim == 2 else to_grey(np.ascontiguousarray(picture))
 
 

@@ -9,8 +9,8 @@ from typing import Any
 
 import cv2
 import numpy as np
-import pandas as pd
 
+from occlib.base.extras import pandas as pd
 from occlib.study import trials
 from occlib.study.conditions import CONDITIONS
 from occlib.study.trials import (

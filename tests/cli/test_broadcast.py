@@ -20,6 +20,8 @@ from helpers.commands import fails
 from occlib.cli import main
 from occlib.live.broadcast import Publisher
 
+pytestmark = [pytest.mark.slow, pytest.mark.xdist_group("alone")]
+
 
 @contextmanager
 def broadcasting(*arguments: object) -> Iterator[tuple[subprocess.Popen[str], str]]:

@@ -68,6 +68,7 @@ def test_help_imports_nothing_slow() -> None:
     assert done.stdout.startswith("usage: occlib ")
 
 
+@pytest.mark.slow
 def test_python_m_is_the_same_command() -> None:
     run = [sys.executable, "-m", "occlib.cli"]
     done = subprocess.run([*run, "data", "list"], capture_output=True, text=True, check=True)

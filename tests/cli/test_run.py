@@ -24,6 +24,7 @@ def read_pgm(path: Path) -> Array:
     return np.frombuffer(pixels, np.uint8).reshape(height, width)
 
 
+@pytest.mark.slow
 def test_a_terminal_gets_a_progress_bar(
     tiny_recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -90,6 +91,7 @@ def test_maps_of_every_frame(tiny_recording: Path, tmp_path: Path) -> None:
     assert (tmp_path / "out/maps/000000.pgm").read_bytes() != (tmp_path / "out/map.pgm").read_bytes()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("text", "frames"), [("1:4:2", [1, 3]), ("2", [2]), ("3:", [3, 4]), (":", [0, 1, 2, 3, 4])])
 def test_frames_chosen(tiny_recording: Path, tmp_path: Path, text: str, frames: list[int]) -> None:
     lines = run(tiny_recording, tmp_path / "out", "--frames", text)
@@ -97,6 +99,7 @@ def test_frames_chosen(tiny_recording: Path, tmp_path: Path, text: str, frames: 
     assert lines[0]["time"] == pytest.approx(frames[0] / 10)
 
 
+@pytest.mark.slow
 def test_cameras_chosen(tiny_recording: Path, tmp_path: Path) -> None:
     both = run(tiny_recording, tmp_path / "both", "--profile", "and", "--cameras", "right", "left")
     one = run(tiny_recording, tmp_path / "one", "--profile", "and", "--cameras", "right")
@@ -104,6 +107,7 @@ def test_cameras_chosen(tiny_recording: Path, tmp_path: Path) -> None:
     assert areas[1] > 1.5 * areas[0]  # one lamp's shadow is far larger than the object
 
 
+@pytest.mark.slow
 def test_rule_or_claims_all_shadows(tiny_recording: Path, tmp_path: Path) -> None:
     maps = []
     for rule in ("and", "or"):
@@ -113,6 +117,7 @@ def test_rule_or_claims_all_shadows(tiny_recording: Path, tmp_path: Path) -> Non
     assert (maps[1] | ~maps[0]).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rule", ["and", "or", "most", "product", "log-odds", "explain"])
 def test_every_rule_is_named_in_the_help_and_runs(
     tiny_recording: Path, tmp_path: Path, rule: str, capsys: pytest.CaptureFixture[str]
@@ -126,6 +131,7 @@ def test_every_rule_is_named_in_the_help_and_runs(
     assert "evidence,otsu,half-otsu,triangle,noiseorgreylevels" in said
 
 
+@pytest.mark.slow
 def test_profile_paper_is_another_chain(tiny_recording: Path, tmp_path: Path) -> None:
     found = [run(tiny_recording, tmp_path / name, "--profile", name) for name in PROFILES]
     assert found[0] != found[1]
@@ -135,6 +141,7 @@ def test_profile_paper_is_another_chain(tiny_recording: Path, tmp_path: Path) ->
             assert max(nearest) < 0.1
 
 
+@pytest.mark.slow
 def test_threshold_by_name_and_by_number(tiny_recording: Path, tmp_path: Path) -> None:
     areas = {}
     for threshold in ("20", "90", "evidence", "otsu", "half-otsu", "triangle", "noise", "1e9"):
@@ -160,6 +167,7 @@ def test_the_hidden_object_says_where_it_is_hidden(tiny_recording: Path, tmp_pat
             assert np.hypot(found["x"] - true.x, found["y"] - true.y) < 0.2
 
 
+@pytest.mark.slow
 def test_the_same_run_twice_gives_the_same_bytes(tiny_recording: Path, tmp_path: Path) -> None:
     for name in ("first", "second"):
         run(tiny_recording, tmp_path / name, "--maps")
@@ -169,6 +177,7 @@ def test_the_same_run_twice_gives_the_same_bytes(tiny_recording: Path, tmp_path:
         assert first[name] == second[name], name
 
 
+@pytest.mark.slow
 def test_a_second_run_replaces_the_first(tiny_recording: Path, tmp_path: Path) -> None:
     run(tiny_recording, tmp_path / "out", "--frames", "0")
     assert len(run(tiny_recording, tmp_path / "out")) == 5

@@ -110,6 +110,7 @@ def test_run_on_no_recording(tmp_path: Path, capfd: pytest.CaptureFixture[str]) 
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.slow
 def test_a_corrupt_image_leaves_the_last_results(
     tiny_recording: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
@@ -171,6 +172,7 @@ class Full:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("how", ["fdopen", "replace"])
 @pytest.mark.parametrize("files", range(4))
 @pytest.mark.parametrize("fresh", [True, False])

@@ -29,6 +29,7 @@ LEFT_OUT: dict[str, tuple[Damage, dict[int, str], str]] = {
 }  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("what", LEFT_OUT)
 def test_run_goes_on_without_a_camera_and_says_so(
     tiny_recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], what: str
@@ -75,6 +76,7 @@ def test_a_line_for_each_camera_and_reason_in_the_order_of_their_beginning(
     ]
 
 
+@pytest.mark.slow
 def test_four_cameras_one_missing_one_covered_one_frozen(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     if not (LAB / "four_robots/truth.json").is_file():
         pytest.skip(f"four_robots is not rendered in {LAB}")

@@ -9,9 +9,10 @@ import cv2
 import numpy as np
 import pytest
 
-from occlib.explaining.appearance import _box, _likeness, _template, axis_colours, colour_agreement, read_templates
+from occlib.explaining.appearance import _box, _likeness, axis_colours, colour_agreement
 from occlib.explaining.cylinders import Cylinder
 from occlib.geometry import Rig
+from occlib.identification import opaque_part, read_templates
 
 
 def pictures(rig: Rig, **colours: tuple[int, int, int]) -> dict[str, Any]:
@@ -59,9 +60,9 @@ def test_a_template_is_like_its_own_picture_at_its_own_size() -> None:
 
 def test_transparent_pixels_do_not_count() -> None:
     picture = np.zeros((8, 6, 4), np.uint8)
-    assert _template("A", picture[..., :3])[1] is None
+    assert opaque_part("A", picture[..., :3])[1] is None
     picture[2:5, :, 3] = 128
-    colours, mask = _template("A", picture)
+    colours, mask = opaque_part("A", picture)
     assert colours.shape == (8, 6, 3) and mask is not None and mask.sum() == 18
 
 
@@ -77,7 +78,7 @@ def test_transparent_pixels_do_not_count() -> None:
 )
 def test_what_is_no_template_is_named(picture: Any, message: str) -> None:
     with pytest.raises(ValueError, match=message):
-        _template("A", picture)
+        opaque_part("A", picture)
 
 
 def test_templates_are_read_by_label_with_alpha(tmp_path: Path) -> None:

@@ -17,6 +17,7 @@ from occlib.lab.scenes import load_scene
 from occlib.lab.truth import ground_truth
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["four_robots", "long_occlusion"])
 def test_hidden_fractions_are_near_those_of_ray_casting(name: str) -> None:
     scene = load_scene(name)

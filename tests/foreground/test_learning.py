@@ -106,6 +106,7 @@ def swaying_frames(standing: int, *, count: int = 60) -> tuple[list[Pixels], np.
     return frames, place
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("standing", [11, 22, 36])
 def test_the_floor_is_learned_below_one_who_stands_and_sways(standing: int) -> None:
     frames, place = swaying_frames(standing)  # 11 of 60 frames are 5 s of 27 s
@@ -139,6 +140,7 @@ FLOOR_WINDOWS = [  # camera, x, y, width, height, samples of 60 in which the pla
 ]
 
 
+@pytest.mark.slow
 def test_ufes_lab_nobody_stands_on_the_learned_floor(
     shared_data: Callable[[str], Path], real_room: dict[str, Background]
 ) -> None:

@@ -193,6 +193,7 @@ RENDERED = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", RENDERED)
 def test_rendered_objects_are_found_and_their_shadows_left_out(name: str) -> None:
     if not (LAB / name / "frames").is_dir():

@@ -52,6 +52,7 @@ def test_a_rule_is_never_below_the_noise_and_a_number_is_taken_as_it_is() -> Non
             Difference(**bad)  # type: ignore[arg-type]
 
 
+@pytest.mark.slow
 def test_a_threshold_of_127_finds_what_its_neighbours_find() -> None:
     recording = open_recording("four_robots", ["left", "right"])
     backgrounds = {name: images[0] for name, images in recording.background_images().items()}

@@ -17,6 +17,8 @@ from occlib.lab import missions
 from occlib.lab.crowds import upright
 from occlib.lab.missions import FLOOR, RADIUS_M, Mission, drive_together, random_mission, run_missions, summary
 
+pytestmark = pytest.mark.slow
+
 WALL = upright("box", (0.0, 0.0), (0.3, 0.8), 0.4, name="wall")
 CROSSING = Mission(0, (WALL,), ((-1.0, 0.0), (1.0, 0.1)), ((1.2, 0.0), (-1.2, 0.1)))
 

@@ -45,7 +45,10 @@ def test_the_manifest_notices_changed_missing_and_new_files(tmp_path):
     (tmp_path / "missing").unlink()
     (tmp_path / "new").write_text("new")
     assert verify_manifest(tmp_path) == ["changed: changed", "missing: missing", "new: not in the manifest"]
-    assert "cannot be read" in verify_manifest(tmp_path / "nowhere")[0]
+    (tmp_path / "manifest.json").write_text("")
+    assert "cannot be read" in verify_manifest(tmp_path)[0]
+    with pytest.raises(ValueError, match=r"nowhere: no such folder \(data/lab has "):
+        verify_manifest(tmp_path / "nowhere")
 
 
 @pytest.mark.parametrize("name", RECORDINGS)
@@ -72,6 +75,7 @@ def test_a_recording_is_complete(name):
         assert all(read_rgb(path).shape == (480, 640, 3) for path in empty)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", RECORDINGS)
 def test_the_truth_on_disk_is_what_the_scene_says(name):
     scene, truth = load_scene(name), read_truth(name)
@@ -117,6 +121,7 @@ def test_four_robots_hide_one_another_from_both_sides():
         assert any(0.2 < o["hidden_fraction"][camera] < 0.8 for o in items)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", WITH_OBJECTS)
 def test_the_pictures_differ_from_the_empty_room_where_the_truth_says(name):
     scene = load_scene(name)
@@ -239,6 +244,7 @@ def test_rendering_rejects_frames_that_do_not_exist(tmp_path):
         render(load_scene("robot"), tmp_path, spp=0)
 
 
+@pytest.mark.slow
 def test_a_small_render_resembles_the_recording(tmp_path):
     try:
         load_mitsuba()

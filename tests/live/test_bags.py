@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import sqlite3
 import struct
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -236,12 +236,6 @@ def test_times_that_no_stamp_can_hold(tmp_path: Path, time_s: float) -> None:
     assert not list(tmp_path.iterdir())
 
 
-def test_without_the_extra_the_error_names_it(tmp_path: Path, hide_package: Callable[[str], None]) -> None:
-    hide_package("rosbags")
-    with pytest.raises(ValueError, match=r'^bags need the package rosbags: pip install "occlib\[ros\]"$'):
-        save_bag(tmp_path / "map", maps())
-
-
 def test_the_message_does_not_change_the_map() -> None:
     from rosbags.typesys import Stores, get_typestore
 
@@ -252,6 +246,7 @@ def test_the_message_does_not_change_the_map() -> None:
 
 
 # --- occlib run --------------------------------------------------------------------------------------
+@pytest.mark.slow
 @pytest.mark.parametrize("format", FORMATS)
 def test_run_writes_every_frame_into_the_bag(tiny_recording: Path, tmp_path: Path, format: str) -> None:
     out = tmp_path / "out"

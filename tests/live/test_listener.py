@@ -22,6 +22,8 @@ from occlib.geometry import Floor
 from occlib.live.broadcast import Listener, Publisher
 from occlib.live.messages import TOPIC, encode
 
+pytestmark = pytest.mark.xdist_group("alone")
+
 CHILD = """
 import json, sys, time
 from occlib.live.broadcast import Listener
@@ -158,6 +160,7 @@ def assert_complete(lines: Sequence[tuple[str, int, int, int]]) -> None:
     assert [received for *_, received, _ in lines] == list(range(1, len(lines) + 1))
 
 
+@pytest.mark.slow
 def test_slow_stopped_and_killed_listeners(child: Callable[..., Child]) -> None:
     big = Floor((0.0, 4.0), (0.0, 3.0), 0.01)
     grid, longest = np.zeros(big.shape, np.int8), 0.0

@@ -176,6 +176,7 @@ def test_the_picture_and_its_failure(tmp_path: Path) -> None:
     assert (tmp_path / "file" / "map.png").is_file()  # of message 2
 
 
+@pytest.mark.slow
 def test_a_listener_waits_for_neither_pipeline_nor_plots() -> None:
     code = "import occlib.live, sys; print([n for n in ('occlib.pipeline', 'matplotlib', 'numba') if n in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -10,7 +10,6 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from occlib.base import kernels
 from occlib.matching import measures
 from occlib.matching.measures import METHODS
 from occlib.matching.search import find, reference_similarity, similarity
@@ -57,6 +56,7 @@ def pairs(draw: st.DrawFn, kind: str) -> tuple[Array, Array, Array | None]:
 # ---------------------------------------------------------------- fast against literal
 
 
+@pytest.mark.slow
 @every_method
 @pytest.mark.parametrize("kind", ["uint8", "uint16", "float"])
 @settings(max_examples=50, deadline=None)
@@ -492,6 +492,7 @@ def test_what_the_mask_hides_does_not_count(method: str) -> None:
 # ---------------------------------------------------------------- layouts and memory
 
 
+@pytest.mark.slow
 @every_method
 @pytest.mark.parametrize("kind", [np.uint8, np.uint16, np.float64])
 @pytest.mark.parametrize("tail", [(), (3,)])
@@ -542,19 +543,6 @@ def test_inputs_stay_unchanged(method: str) -> None:
         reference_similarity(image[:22, :22], template, method, mask)
         for array, copy in zip((image, template, mask), before, strict=True):
             np.testing.assert_array_equal(array, copy)
-
-
-def test_without_a_folder_for_the_cache_it_compiles_all_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
-
-    real = kernels.numba.njit
-
-    def njit(**options: Any) -> Any:
-        if options.get("cache"):
-            raise RuntimeError("cannot cache function: no locator available")
-        return real(**options)
-
-    monkeypatch.setattr(kernels.numba, "njit", njit)
-    assert kernels.compiled(lambda x: x + 1)(2) == 3
 
 
 @pytest.mark.parametrize("method", ["ncc", "zncc"])

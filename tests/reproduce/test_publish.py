@@ -27,6 +27,8 @@ from occlib.reproduce.notebook import record, save
 from occlib.reproduce.publish import notebook_results, reproduce
 from occlib.reproduce.students import student_copies, student_copy
 
+pytestmark = pytest.mark.slow
+
 IMPORTS = "from matplotlib.figure import Figure\nfrom occlib.reproduce import record, save\nimport numpy as np"
 PARAMETERS = "seed = 0  # -, of the noise\nfast = False  # -, smaller\nscale = 1.5  # m, of everything"
 DRAW = "fig = Figure()\nfig.add_subplot().plot(np.random.default_rng(seed).normal(size=9))\nsave(fig, {name!r})"

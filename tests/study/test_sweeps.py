@@ -26,6 +26,8 @@ from occlib.matching import measures
 from occlib.study import sweeps
 from occlib.study.sweeps import load_matchers, run_batches
 
+pytestmark = pytest.mark.slow
+
 # Workers cannot import test files, but a run file travels by value: as a user's own matchers do.
 TOY = """
 import os, sys, time
@@ -320,12 +322,6 @@ def test_wrong_arguments(
     with pytest.raises(ValueError, match=message):
         run_batches(toys(2), work, tmp_path / "out", progress=False, **options)
     assert not (tmp_path / "out").exists()
-
-
-def test_without_dask(tmp_path: Path, toys: Any, work: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "distributed", None)
-    with pytest.raises(ValueError, match=r'needs Dask: pip install "occlib\[dask\]"$'):
-        run_batches(toys(2), work, tmp_path, scheduler="tcp://127.0.0.1:1", progress=False)
 
 
 def test_a_cluster_without_workers(tmp_path: Path, toys: Any, work: Any, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -116,6 +116,7 @@ def test_absent_leaves_nothing_of_the_target(corner):
 # --- trials ------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("source", [*trials.PHOTOGRAPHS, "robot", "four_robots"])
 def test_clean_trial_holds_the_template_at_the_true_place(source):
     for side in (16, 48, 128):
@@ -168,6 +169,7 @@ def test_one_seed_has_the_same_target_under_every_condition():
     assert not np.array_equal(trials.make_trial("camera", 6).template, start.template)
 
 
+@pytest.mark.slow
 def test_robots_move_with_their_silhouettes():
     for seed in range(3):
         now, later = (trials.make_trial("four_robots", seed, "time", level) for level in (0, 32))
@@ -236,6 +238,7 @@ def small():
     return work_module.run(work_module.batches("fast", **SMALL), progress=False)
 
 
+@pytest.mark.slow
 def test_same_numbers_in_any_order_and_beside_other_work(small):
     trials._views.cache_clear()
     work = work_module.batches("fast", **SMALL)[::-1]
@@ -484,6 +487,7 @@ def light():
     return work_module.run(work, ["ssd", "zncc"], progress=False)
 
 
+@pytest.mark.slow
 def test_zncc_stands_a_change_of_light_and_ssd_does_not(light):
     recall = tables.summarise(light).set_index(["condition", "method", "level"])["recall"].sort_index()
     assert recall["offset", "zncc"].loc[[-20, 20]].min() == 1 and recall["offset", "ssd"].loc[[-80, 80]].max() < 0.7
@@ -496,6 +500,7 @@ def test_zncc_stands_a_change_of_light_and_ssd_does_not(light):
     assert claim["area"] == pytest.approx(told.loc["constant light", "ssd"] - told.loc["changing light", "ssd"])
 
 
+@pytest.mark.slow
 def test_a_fixed_threshold_fails_for_ssd_where_otsu_does_not(light):
     rules = tables.thresholds(light).set_index(["condition", "method", "level", "rule"])["recall"]
     assert rules["noise", "ssd", 40.0, "fixed"] < 0.2 < 0.9 < rules["noise", "ssd", 40.0, "otsu"]
