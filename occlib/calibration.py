@@ -12,7 +12,7 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import cv2
 import numpy as np
@@ -22,7 +22,7 @@ import yaml
 from occlib.base import checks
 from occlib.base.arrays import FloatArray, Image, as_points
 from occlib.base.files import read_image, read_yaml, write_file
-from occlib.geometry import Camera, image_size, invert_homography
+from occlib.geometry import Camera, invert_homography
 from occlib.lens import HasLens, Lens
 
 Pattern: TypeAlias = tuple[int, int]
@@ -307,6 +307,13 @@ def save_calibration(path: str | Path, calibration: Calibration) -> Path:
     return write_file(path, yaml.safe_dump(fields, sort_keys=False, default_flow_style=None))
 
 
+def _image_size(value: Any) -> tuple[int, int]:
+    width, height = checks.numbers("size", value, (2,))
+    if min(width, height) < 1 or width != int(width) or height != int(height):
+        raise ValueError(f"size: expected [width, height] in px, got {checks.shown(value)}")
+    return int(width), int(height)
+
+
 def load_calibration(path: str | Path) -> Calibration:
     """Read what :func:`save_calibration` wrote; ``ValueError`` names the file and the field that is wrong."""
     fields = read_yaml(path)
@@ -314,7 +321,7 @@ def load_calibration(path: str | Path) -> Calibration:
         raise ValueError(f"{path}: expected a mapping with 'size', 'matrix' and 'distortion'")
     try:
         return Calibration(
-            image_size("size", fields.get("size")),
+            _image_size(fields.get("size")),
             Lens.from_dict({"distortion": None} | fields),
             checks.number("rms_px", fields.get("rms_px"), least=0, unit="px"),
             checks.whole("views_used", fields.get("views_used"), least=1, unit="a number of views"),

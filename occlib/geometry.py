@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import yaml
+from msgspec.structs import asdict
 from scipy.ndimage import distance_transform_edt
 
 from occlib.base import checks
@@ -223,10 +224,6 @@ class Camera:
         rotation, translation = self.pose
         return -rotation.T @ translation
 
-    def undistort_points(self, points_px: npt.ArrayLike) -> FloatArray:
-        """Raw px (N, 2) to undistorted px (N, 2): :meth:`occlib.lens.Lens.undistort`."""
-        return self.lens.undistort(points_px)
-
     def project(self, points_m: npt.ArrayLike) -> FloatArray:
         """World points (N, 3) in m to raw px (N, 2).
 
@@ -341,17 +338,9 @@ class Rig:
         return yaml.safe_dump(self.to_dict(), sort_keys=False, default_flow_style=None)
 
 
-def image_size(name: str, value: Any) -> tuple[int, int]:
-    """``(width, height)`` in px as a file has it, checked."""
-    width, height = checks.numbers(name, value, (2,))
-    if min(width, height) < 1 or max(width, height) > 100_000 or width != int(width) or height != int(height):
-        raise ValueError(f"{name}: expected [width, height] in px, got {checks.shown(value)}")
-    return int(width), int(height)
-
-
 def _camera(name: str, entry: CameraEntry) -> Camera:
     size = (int(entry.size[0]), int(entry.size[1]))
-    lens = Lens.from_dict({"matrix": entry.matrix, "distortion": entry.distortion}, f"cameras.{name}.")
+    lens = Lens.from_dict(asdict(entry), f"cameras.{name}.")
     if entry.floor_homography is not None:
         homography = np.array(entry.floor_homography)
         invert_homography(homography, f"cameras.{name}.floor_homography")

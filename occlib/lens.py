@@ -24,8 +24,14 @@ from occlib.base.arrays import FloatArray, Image, Mask, as_points
 Pose = tuple[FloatArray, FloatArray]
 """Rotation (3, 3) and translation (3,): ``x_camera = rotation @ x_world + translation``."""
 
+SMALLEST_FOCAL_PX, LARGEST_ENTRY_PX = 1e-3, 1e9
+"""Of a matrix that is read from a file: what is beyond is a mistake, or overflows later."""
+
 _NEAREST_DEPTH = 1e-9
 """Points no further in front of the camera than this have no picture; in the unit of the points, m."""
+
+_NO_DISTORTION = 1e-12
+"""Smaller coefficients bend nothing within a hundred focal lengths of the axis."""
 
 _UNDISTORT_STEPS = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 50, 1e-10)
 """The inverse of the distortion is found step by step: at most 50 steps, or until a step is smaller than 1e-10."""
@@ -100,8 +106,10 @@ class Lens:
     def _fold_radius2(self) -> float:
         """Squared distance from the axis at which the radial distortion turns back, in focal lengths; infinite if never."""
         k1, k2, _, _, k3 = self.distortion
-        slope = np.roots([7 * k3, 5 * k2, 3 * k1, 1.0])  # d(r * radial)/dr = 0, in r^2
-        real = slope[(np.abs(slope.imag) < 1e-9) & (slope.real > 0)].real
+        slope = np.array([7 * k3, 5 * k2, 3 * k1, 1.0])  # d(r * radial)/dr = 0, in r^2
+        slope[np.abs(slope) < _NO_DISTORTION] = 0  # or the roots overflow
+        roots = np.roots(slope)
+        real = roots[(np.abs(roots.imag) < 1e-9) & (roots.real > 0)].real
         return float(real.min()) if len(real) else np.inf
 
     def directions(self, points_px: npt.ArrayLike) -> FloatArray:
@@ -200,7 +208,8 @@ class Lens:
         """
         matrix = checks.numbers(f"{where}matrix", fields.get("matrix"), (3, 3))
         zeros, bottom = (matrix[0, 1], matrix[1, 0]), matrix[2].tolist()
-        if matrix[[0, 1], [0, 1]].min() < 1e-3 or np.abs(matrix).max() > 1e9 or any(zeros) or bottom != [0, 0, 1]:
+        focal, largest = matrix[[0, 1], [0, 1]].min(), np.abs(matrix).max()
+        if focal < SMALLEST_FOCAL_PX or largest > LARGEST_ENTRY_PX or any(zeros) or bottom != [0, 0, 1]:
             raise ValueError(
                 f"{where}matrix: expected [[fx, 0, cx], [0, fy, cy], [0, 0, 1]] in px with fx, fy > 0, got {matrix.tolist()}"
             )
