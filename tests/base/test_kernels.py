@@ -56,6 +56,7 @@ def test_what_was_compiled_is_kept(load: Callable[[], Any]) -> None:
     assert from_disk(again) == 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", [".nbi", ".nbc"])
 def test_a_damaged_file_is_passed_over_and_replaced(load: Callable[[], Any], tmp_path: Path, suffix: str) -> None:
     load()(WHOLE)

@@ -62,6 +62,7 @@ def test_a_small_object_entirely_hidden_from_one_camera_comes_back(cameras: tupl
     assert fractions[1, 0] == 1 and by[1, 0] == 0 and fractions[1, 1] == 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("cameras", "count", "seed"),
     [
