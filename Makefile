@@ -8,7 +8,7 @@ READY := .venv/.ready
 NOTEBOOKS := $(wildcard notebooks/*.ipynb)
 
 .DEFAULT_GOAL := help
-.PHONY: help setup reproduce test lint format bench notebooks clean
+.PHONY: help setup reproduce test check lint format bench notebooks clean
 
 help:  ## this list
 	@sed -n 's/^\([a-z]*\):.*## \(.*\)/  make \1|\2/p' Makefile | column -t -s '|' 2>/dev/null \
@@ -26,13 +26,17 @@ $(READY): requirements.lock pyproject.toml
 reproduce: $(READY)  ## run the notebooks that changed: figures and metrics.csv in figures/
 	$(BIN)/occlib reproduce --jobs $(JOBS)
 
-test: lint  ## lint, then all tests
-	$(BIN)/python -m pytest
+test: lint  ## lint, then all tests, as many at a time as JOBS says
+	$(BIN)/python -m pytest -n $(JOBS)
 
-lint: $(READY)  ## ruff, mypy, and no outputs stored in notebooks
+check: lint  ## lint, then the tests that are not slow: within a minute, for daily use
+	$(BIN)/python -m pytest -n $(JOBS) -m 'not slow'
+
+lint: $(READY)  ## ruff, mypy, who imports whom, and no outputs stored in notebooks
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
 	$(BIN)/mypy
+	$(BIN)/lint-imports --no-logo --no-cache
 	$(if $(NOTEBOOKS),$(BIN)/nbstripout --verify $(NOTEBOOKS))
 
 format: $(READY)  ## format the code and strip the notebooks

@@ -1,4 +1,4 @@
-"""Camera calibration from checkerboards, and the floor from marks on it (section 2 of the paper, Figs 1, 2).
+"""Camera calibration from checkerboards (section 2 of the paper, Fig 1). The floor's turn is in :mod:`occlib.floor_marks`.
 
 "We use a 2D square grid ... The square corner coordinates are manually marked from checkerboard's image at
 different orientations. With the known sizes of the square, MatLab toolbox calculates the camera parameters."
@@ -10,30 +10,32 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 import yaml
-from scipy.optimize import least_squares
 
+from occlib.base import checks
 from occlib.base.arrays import FloatArray, Image, as_points
 from occlib.base.files import read_image, read_yaml, write_file
-from occlib.geometry import Camera, Rig, apply_homography, invert_homography
+from occlib.geometry import Camera, image_size, invert_homography
+from occlib.lens import HasLens, Lens
 
 Pattern: TypeAlias = tuple[int, int]
+"""Inner corners of a board, (columns, rows)."""
 
-
-_CRITERIA = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 100, 1e-6)
-
+_CORNER_STEPS = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 100, 1e-6)
+"""A corner is refined step by step: at most 100 steps, or until it moves by less than 1e-6 px."""
 
 _MIN_VIEWS = 3
-
+"""Two views leave the distortion open."""
 
 _MIN_TILT_DEG = 5.0
+"""Boards that are more nearly parallel leave focal length and distance tied."""
 
 
 @dataclass(frozen=True)
@@ -44,10 +46,8 @@ class Calibration:
     ----------
     size
         ``(width, height)`` in px.
-    matrix
-        3x3 intrinsic matrix in px.
-    distortion
-        ``(k1, k2, p1, p2, k3)``, shape (5,).
+    lens
+        The intrinsic matrix, and the distortion.
     rms_px
         Root mean square reprojection error over all corners in px, lower is better.
     views_used
@@ -61,8 +61,7 @@ class Calibration:
     """
 
     size: tuple[int, int]
-    matrix: FloatArray
-    distortion: FloatArray
+    lens: Lens
     rms_px: float
     views_used: int
     view_rms_px: FloatArray = field(default_factory=lambda: np.empty(0))
@@ -71,34 +70,21 @@ class Calibration:
     images_used: tuple[str, ...] = ()
     images_skipped: tuple[str, ...] = ()
 
+    @property
+    def matrix(self) -> FloatArray:
+        """The lens's 3x3 intrinsic matrix in px."""
+        return self.lens.matrix
+
+    @property
+    def distortion(self) -> FloatArray:
+        """The lens's distortion coefficients."""
+        return self.lens.distortion
+
     def camera(self, name: str, image_to_floor: npt.ArrayLike) -> Camera:
         """The calibrated camera with its homography to the floor (3x3, undistorted px to m)."""
         homography = np.asarray(image_to_floor, dtype=np.float64)
         invert_homography(homography, "image_to_floor")
-        return Camera(name, self.size, self.matrix, self.distortion, homography)
-
-
-@dataclass(frozen=True)
-class FloorFit:
-    """A homography fitted to marks on the floor, and its residuals mark by mark.
-
-    Parameters
-    ----------
-    image_to_floor
-        3x3, undistorted px to m.
-    error_px
-        Distance of each mark from its reprojection, undistorted px, shape (N,).
-    error_m
-        The same on the floor in m, shape (N,).
-    leave_one_out_m
-        Error in m at each mark when the others alone are fitted: what to expect at a new point. Shape
-        (N,), or ``None`` with four marks, or when a mark is needed to fix the homography.
-    """
-
-    image_to_floor: FloatArray
-    error_px: FloatArray
-    error_m: FloatArray
-    leave_one_out_m: FloatArray | None
+        return Camera(name, self.size, self.lens, homography)
 
 
 def parse_pattern(text: str) -> Pattern:
@@ -132,8 +118,7 @@ def board_points(pattern: Pattern, square: float) -> FloatArray:
     [[0.0, 0.0], [0.5, 0.0], [1.0, 0.0], [0.0, 0.5]]
     """
     columns, rows = _checked_pattern(pattern)
-    if not 1e-9 < square < 1e6:
-        raise ValueError(f"square: expected metres > 0, got {square}")
+    checks.number("square", square, least=1e-9, most=1e6, expected="metres > 0")
     grid = np.mgrid[:columns, :rows].T.reshape(-1, 2) * float(square)
     return np.column_stack([grid, np.zeros(len(grid))])
 
@@ -192,8 +177,7 @@ def refine_corners(image: Image, marks_px: npt.ArrayLike, *, window_px: int = 5)
     (`cv2.cornerSubPix`).
     """
     grey, marks = _grey(image), as_points(marks_px, name="marks_px")
-    if window_px < 1:
-        raise ValueError(f"window_px: expected a half side >= 1 px, got {window_px}")
+    checks.number("window_px", window_px, least=1, unit="half a side in px")
     height, width = grey.shape
     outside = ~((marks >= 0) & (marks <= [width - 1, height - 1])).all(axis=1)
     if outside.any():
@@ -204,7 +188,7 @@ def refine_corners(image: Image, marks_px: npt.ArrayLike, *, window_px: int = 5)
         return marks
     start = marks.astype(np.float32).reshape(-1, 1, 2)
     window = (int(window_px), int(window_px))
-    return np.asarray(cv2.cornerSubPix(grey, start, window, (-1, -1), _CRITERIA), np.float64).reshape(-1, 2)
+    return np.asarray(cv2.cornerSubPix(grey, start, window, (-1, -1), _CORNER_STEPS), np.float64).reshape(-1, 2)
 
 
 def calibrate(corner_sets: Sequence[npt.ArrayLike], board: npt.ArrayLike, size: tuple[int, int]) -> Calibration:
@@ -233,23 +217,19 @@ def calibrate(corner_sets: Sequence[npt.ArrayLike], board: npt.ArrayLike, size: 
         if len(corners) != len(plane) or not np.isfinite(corners).all():
             raise ValueError(f"corner_sets[{i}]: expected {len(plane)} finite corners, got shape {corners.shape}")
     try:
-        objects = [plane.astype(np.float32)] * len(views)
-        pixels = [corners.astype(np.float32).reshape(-1, 1, 2) for corners in views]
-        solution = cv2.calibrateCameraExtended(objects, pixels, size, None, None)  # type: ignore[call-overload]
-    except cv2.error as error:
-        raise ValueError(f"corner_sets: OpenCV cannot calibrate from these views ({error.err})") from None
-    rms, matrix, distortion, turns, shifts, _, _, view_rms = solution
-    rotations = np.array([cv2.Rodrigues(np.asarray(turn, np.float64))[0] for turn in turns])
+        lens, poses, rms_px, view_rms_px = Lens.calibrate(plane, views, size)
+    except ValueError as error:
+        raise ValueError(f"corner_sets: {error}") from None
+    rotations = np.array([rotation for rotation, _ in poses])
     _check_tilt(rotations)
     return Calibration(
         size=(int(size[0]), int(size[1])),
-        matrix=np.asarray(matrix, np.float64),
-        distortion=np.asarray(distortion, np.float64).ravel()[:5],
-        rms_px=float(rms),
+        lens=lens,
+        rms_px=rms_px,
         views_used=len(views),
-        view_rms_px=np.asarray(view_rms, np.float64).ravel(),
+        view_rms_px=view_rms_px,
         rotations=rotations,
-        translations=np.asarray(shifts, np.float64).reshape(-1, 3),
+        translations=np.array([translation for _, translation in poses]),
     )
 
 
@@ -297,150 +277,30 @@ def calibrate_images(
         what = f"a {pattern[0]}x{pattern[1]} board is in {len(used)} of {len(paths)} images"
         raise ValueError(f"images: {what}, at least {_MIN_VIEWS} are needed")
     found = calibrate(corner_sets, board, size)
-    return Calibration(**{**vars(found), "images_used": tuple(used), "images_skipped": tuple(skipped)})
+    return replace(found, images_used=tuple(used), images_skipped=tuple(skipped))
 
 
 def reprojection_error(
-    lens: Camera | Calibration,
+    camera: HasLens,
     rotation: npt.ArrayLike,
     translation: npt.ArrayLike,
     points_m: npt.ArrayLike,
     pixels: npt.ArrayLike,
 ) -> FloatArray:
-    """Distance in raw px between points seen (N, 2) and points (N, 3) projected by a pose. Shape (N,)."""
-    turn, _ = cv2.Rodrigues(np.asarray(rotation, dtype=np.float64))
-    shift = np.asarray(translation, dtype=np.float64).reshape(3, 1)
+    """Distance in raw px between points seen (N, 2) and points (N, 3) projected by a pose. Shape (N,); NaN behind the camera."""
     points, seen = as_points(points_m, dimensions=3, name="points_m"), as_points(pixels, name="pixels")
     if len(points) != len(seen):
         raise ValueError(f"pixels: expected {len(points)} points like points_m, got {len(seen)}")
-    projected, _ = cv2.projectPoints(points.reshape(-1, 1, 3), turn, shift, lens.matrix, lens.distortion)
-    return np.linalg.norm(np.asarray(projected).reshape(-1, 2) - seen, axis=1)
-
-
-def floor_homography_from_marks(lens: Camera | Calibration, pixels: npt.ArrayLike, floor_m: npt.ArrayLike) -> FloorFit:
-    """The homography to the floor from marks whose floor coordinates are known.
-
-    Parameters
-    ----------
-    lens
-        Anything with ``size``, ``matrix`` and ``distortion``.
-    pixels
-        Marks (N, 2) in raw px, four or more, no three of four on a line.
-    floor_m
-        The same marks (N, 2) on the floor in m.
-
-    Returns
-    -------
-    FloorFit
-        The homography with the least squared distance in undistorted px, where marking errors arise, and
-        its residuals.
-
-    Notes
-    -----
-    Normalised DLT (Hartley & Zisserman 2004, section 4.4), then Gauss-Newton, all in float64
-    (`cv2.findHomography` rounds its points to float32).
-    """
-    floor, raw = as_points(floor_m, name="floor_m"), as_points(pixels, name="pixels")
-    if len(raw) != len(floor) or len(raw) < 4 or not (np.isfinite(raw).all() and np.isfinite(floor).all()):
-        raise ValueError(f"pixels, floor_m: expected 4 or more finite pairs, got {len(raw)} and {len(floor)}")
-    ideal = Camera("", lens.size, lens.matrix, lens.distortion, np.eye(3)).undistort_points(raw)
-    floor_to_image = _fit_homography(floor, ideal)
-    image_to_floor = invert_homography(floor_to_image, "floor_m")
-    return FloorFit(
-        image_to_floor,
-        np.linalg.norm(apply_homography(floor_to_image, floor) - ideal, axis=1),
-        np.linalg.norm(apply_homography(image_to_floor, ideal) - floor, axis=1),
-        _leave_one_out(ideal, floor),
-    )
-
-
-def board_on_floor(
-    pattern: Pattern, square: float, origin_m: tuple[float, float] = (0.0, 0.0), angle: float = 0.0
-) -> FloatArray:
-    """Floor coordinates of the corners of a board that lies face up, in the order of `find_checkerboard`.
-
-    Parameters
-    ----------
-    pattern, square
-        As for :func:`board_points`.
-    origin_m
-        Where the first corner lies, m.
-    angle
-        Direction of the first row, from its first to its last corner, counter-clockwise from the floor's x
-        axis, rad. Seen from above, the next row lies to its right.
-
-    Returns
-    -------
-    ndarray, shape (columns * rows, 2)
-        In m.
-
-    >>> board_on_floor((3, 3), 0.5, (1.0, 1.0))[[0, 2, 3]].tolist()
-    [[1.0, 1.0], [2.0, 1.0], [1.0, 0.5]]
-    """
-    along, across = board_points(pattern, square)[:, :2].T
-    c, s = np.cos(angle), np.sin(angle)
-    return np.column_stack([along * c + across * s, along * s - across * c]) + np.asarray(origin_m, float)
-
-
-def solve_floor_pose(
-    lens: Camera | Calibration, pixels: npt.ArrayLike, floor_m: npt.ArrayLike
-) -> tuple[FloatArray, FloatArray]:
-    """Pose of the camera from points on the floor, such as a board that lies there.
-
-    Parameters
-    ----------
-    lens
-        Anything with ``matrix`` and ``distortion``.
-    pixels
-        Points (N, 2) in raw px, four or more.
-    floor_m
-        The same points (N, 2) on the floor in m (:func:`board_on_floor`).
-
-    Returns
-    -------
-    rotation, translation : ndarray, shapes (3, 3) and (3,)
-        World to camera, m.
-
-    Raises
-    ------
-    ValueError
-        No pose fits, or the camera would be under the floor: the points come in mirrored order.
-
-    Notes
-    -----
-    IPPE (Collins & Bartoli 2014, doi:10.1007/s11263-014-0725-5), then Levenberg-Marquardt on the
-    reprojection error.
-    """
-    floor, seen = as_points(floor_m, name="floor_m"), as_points(pixels, name="pixels")
-    if len(seen) != len(floor) or len(seen) < 4:
-        raise ValueError(f"pixels, floor_m: expected 4 or more pairs, got {len(seen)} and {len(floor)}")
-    points = np.column_stack([floor, np.zeros(len(floor))])
-    arguments = (points, seen.reshape(-1, 1, 2), lens.matrix, lens.distortion)
-    try:
-        _, turn, shift = cv2.solvePnP(*arguments, flags=cv2.SOLVEPNP_IPPE)
-        turn, shift = cv2.solvePnPRefineLM(*arguments, turn, shift, _CRITERIA)
-    except cv2.error:
-        raise ValueError("pixels, floor_m: no pose of the camera fits these points") from None
-    rotation, translation = cv2.Rodrigues(np.asarray(turn, np.float64))[0], np.asarray(shift, np.float64).ravel()
-    height = -(rotation.T @ translation)[2]
-    if not height > 0:
-        raise ValueError(f"floor_m: the camera would be {-height:.2f} m under the floor; the points are mirrored")
-    return np.asarray(rotation, np.float64), translation
-
-
-def floor_homography_from_pose(
-    lens: Camera | Calibration, rotation: npt.ArrayLike, translation: npt.ArrayLike
-) -> FloatArray:
-    """The homography (3, 3), undistorted px to m, of a pose (world to camera, m): ``(K [r1 r2 t])^-1``."""
-    return Camera.from_pose("pose", lens.size, lens.matrix, lens.distortion, rotation, translation).image_to_floor
+    lens, shift = camera.lens, np.asarray(translation, dtype=np.float64).reshape(3)
+    projected = lens.distort(lens.pinhole(points @ np.asarray(rotation, dtype=np.float64).T + shift))
+    return np.linalg.norm(projected - seen, axis=1)
 
 
 def save_calibration(path: str | Path, calibration: Calibration) -> Path:
     """Write ``size``, ``matrix``, ``distortion``, ``rms_px`` and ``views_used`` as YAML."""
     fields = {
         "size": list(calibration.size),
-        "matrix": calibration.matrix.tolist(),
-        "distortion": calibration.distortion.tolist(),
+        **calibration.lens.to_dict(),
         "rms_px": calibration.rms_px,
         "views_used": calibration.views_used,
     }
@@ -453,36 +313,14 @@ def load_calibration(path: str | Path) -> Calibration:
     if not isinstance(fields, dict):
         raise ValueError(f"{path}: expected a mapping with 'size', 'matrix' and 'distortion'")
     try:
-        camera = _rig_camera({name: fields.get(name) for name in ("size", "matrix", "distortion")})
+        return Calibration(
+            image_size("size", fields.get("size")),
+            Lens.from_dict({"distortion": None} | fields),
+            checks.number("rms_px", fields.get("rms_px"), least=0, unit="px"),
+            checks.whole("views_used", fields.get("views_used"), least=1, unit="a number of views"),
+        )
     except ValueError as error:
-        raise ValueError(f"{path}: {str(error).removeprefix('cameras.camera.')}") from None
-    rms, views = fields.get("rms_px"), fields.get("views_used")
-    if not isinstance(rms, int | float) or isinstance(rms, bool) or not 0 <= rms < np.inf:
-        raise ValueError(f"{path}: rms_px: expected px >= 0, got {rms!r}")
-    if not isinstance(views, int) or isinstance(views, bool) or views < 1:
-        raise ValueError(f"{path}: views_used: expected a number of views, got {views!r}")
-    return Calibration(camera.size, camera.matrix, camera.distortion, float(rms), views)
-
-
-def load_marks(path: str | Path) -> dict[str, tuple[FloatArray, FloatArray]]:
-    """Read hand-marked floor points: for each camera raw px (N, 2) and floor m (N, 2).
-
-    The file is YAML, ``marks: {camera: [{pixel: [u, v], floor: [x, y]}, ...]}``.
-    """
-    content = read_yaml(path)
-    cameras = content.get("marks") if isinstance(content, dict) else None
-    if not isinstance(cameras, dict):
-        raise ValueError(f"{path}: expected a mapping 'marks' of cameras")
-    marks = {}
-    for name, entries in cameras.items():
-        try:
-            pair = [as_points([entry[key] for entry in entries], name=key) for key in ("pixel", "floor")]
-        except (KeyError, TypeError, ValueError):
-            pair = [np.full((1, 2), np.nan)]
-        if not all(np.isfinite(points).all() for points in pair):
-            raise ValueError(f"{path}: marks.{name}: expected a list of {{pixel: [u, v], floor: [x, y]}}")
-        marks[str(name)] = (pair[0], pair[1])
-    return marks
+        raise ValueError(f"{path}: {error}") from None
 
 
 def _checked_pattern(pattern: Pattern) -> Pattern:
@@ -514,53 +352,3 @@ def _ordered(grid: FloatArray) -> FloatArray:
     if along[0] * across[1] - along[1] * across[0] < 0:  # mirrored
         grid = grid[:, ::-1]
     return grid[::-1, ::-1] if grid[0, 0].sum() > grid[-1, -1].sum() else grid
-
-
-def _fit_homography(source: FloatArray, target: FloatArray) -> FloatArray:
-    """The 3x3 homography with the least squared distance in the target plane; (N, 2) each, N >= 4."""
-    to_source, to_target = _normalising(source), _normalising(target)
-    a, b = apply_homography(to_source, source), apply_homography(to_target, target)
-    ones, zeros = np.ones((len(a), 1)), np.zeros((len(a), 3))
-    xyw = np.hstack([a, ones])
-    system = np.vstack([np.hstack([xyw, zeros, -b[:, :1] * xyw]), np.hstack([zeros, xyw, -b[:, 1:] * xyw])])
-    _, values, vectors = np.linalg.svd(system)
-    if values[7] < 1e-6 * values[0]:
-        raise ValueError("floor_m: the marks do not fix a homography (too many on one line)")
-    start = vectors[8] / np.linalg.norm(vectors[8])
-
-    def residuals(h: FloatArray) -> FloatArray:
-        projected = xyw @ h.reshape(3, 3).T
-        return (projected[:, :2] / projected[:, 2:] - b).ravel()
-
-    # The scale of h is free: the trust-region step leaves it alone.
-    best = least_squares(residuals, start, xtol=1e-14, ftol=1e-14, gtol=1e-14).x.reshape(3, 3)
-    homography = np.linalg.inv(to_target) @ best @ to_source
-    return np.asarray(homography / np.linalg.norm(homography))
-
-
-def _normalising(points: FloatArray) -> FloatArray:
-    """Similarity that moves points to mean 0 and mean distance sqrt(2)."""
-    mean = points.mean(axis=0)
-    scale = np.sqrt(2) / max(np.linalg.norm(points - mean, axis=1).mean(), 1e-12)
-    return np.array([[scale, 0, -scale * mean[0]], [0, scale, -scale * mean[1]], [0, 0, 1]])
-
-
-def _leave_one_out(ideal: FloatArray, floor: FloatArray) -> FloatArray | None:
-    if len(floor) < 5:
-        return None
-    errors = []
-    for i in range(len(floor)):
-        others = np.arange(len(floor)) != i
-        try:
-            fit = invert_homography(_fit_homography(floor[others], ideal[others]))
-        except ValueError:
-            return None
-        errors.append(np.linalg.norm(apply_homography(fit, ideal[i]) - floor[i]))
-    return np.array(errors)
-
-
-def _rig_camera(fields: dict[str, Any]) -> Camera:
-    """Check intrinsics by the rules of ``rig.yaml``."""
-    floor = {"x": [0, 1], "y": [0, 1], "resolution": 1}
-    camera = {**fields, "floor_homography": np.eye(3).tolist()}
-    return Rig.from_dict({"floor": floor, "cameras": {"camera": camera}})["camera"]

@@ -19,14 +19,15 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 import yaml
 from scipy.ndimage import distance_transform_edt
 
+from occlib.base import checks
 from occlib.base.arrays import FloatArray, Mask, as_points
-from occlib.base.files import read_yaml
+from occlib.formats.rig import CameraEntry, RigFile, load_rig, rig_file
+from occlib.lens import Lens, Pose
 
 
 def apply_homography(homography: npt.ArrayLike, points: npt.ArrayLike) -> FloatArray:
@@ -56,8 +57,7 @@ class Floor:
             low, high = getattr(self, name)
             if not (np.isfinite([low, high]).all() and low < high):
                 raise ValueError(f"floor.{name}: expected [min, max] with min < max, got [{low}, {high}]")
-        if not (np.isfinite(self.resolution) and self.resolution > 0):
-            raise ValueError(f"floor.resolution: expected metres per cell > 0, got {self.resolution}")
+        checks.number("floor.resolution", self.resolution, above=0, unit="metres per cell")
         cells = [(high - low) / self.resolution for low, high in (self.x, self.y)]
         if not (max(cells) <= 32_766 and cells[0] * cells[1] <= 20_000_000):  # OpenCV's limit; 150 bytes a cell
             raise ValueError(f"floor: {cells[0]:.6g} x {cells[1]:.6g} cells are too many; raise floor.resolution")
@@ -93,6 +93,19 @@ class Floor:
         iy, ix = np.mgrid[:ny, :nx]
         return apply_homography(self.cell_to_floor, np.column_stack([ix.ravel(), iy.ravel()]))
 
+    def points(self, cells: npt.ArrayLike) -> FloatArray:
+        """Metres (..., 2) of cells ``(ix, iy)``, (..., 2), whole or fractional; cell centres are at integers.
+
+        >>> Floor((0, 4), (1, 2), 0.5).points((3, 0))
+        array([1.75, 1.25])
+        """
+        ixy = np.asarray(cells, dtype=np.float64)
+        if ixy.size == 0:
+            return np.empty((0, 2))
+        if ixy.shape[-1:] != (2,):
+            raise ValueError(f"cells: expected shape (..., 2), got {ixy.shape}")
+        return np.array([self.x[0], self.y[0]]) + (ixy + 0.5) * self.resolution
+
     def cells(self, points_m: npt.ArrayLike) -> FloatArray:
         """Fractional cell ``(ix, iy)`` of points in m; cell centres are at integers. Shape (N, 2)."""
         return apply_homography(np.linalg.inv(self.cell_to_floor), points_m)
@@ -105,9 +118,7 @@ class Floor:
         >>> Floor((0, 4), (0, 1), 1.0).distance_m(np.array([[True, False, False, False]]))
         array([[0., 1., 2., 3.]])
         """
-        if mask.shape != self.shape or mask.dtype != bool:
-            raise ValueError(f"mask: expected bool {self.shape}, got {mask.dtype} {mask.shape}")
-        if not mask.any():
+        if not checks.mask("mask", mask, self.shape).any():
             return np.full(self.shape, np.inf)
         return np.asarray(distance_transform_edt(~mask) * self.resolution, dtype=np.float64)
 
@@ -117,8 +128,7 @@ class Floor:
         A cell that is exactly ``radius_m`` away, to a millionth of a cell, is not near. To keep clear of the *whole* of a
         cell and not only of its centre, add half its diagonal, ``0.71 * resolution``.
         """
-        if not (np.isfinite(radius_m) and radius_m >= 0):
-            raise ValueError(f"radius_m: expected metres >= 0, got {radius_m}")
+        checks.number("radius_m", radius_m, least=0, unit="metres")
         return np.asarray((self.distance_m(mask) < radius_m - 1e-6 * self.resolution) | mask)
 
     def polygon_mask(self, polygon_m: npt.ArrayLike) -> Mask:
@@ -139,39 +149,40 @@ class Camera:
         Its name in the rig.
     size
         ``(width, height)`` in px.
-    matrix
-        3x3 intrinsic matrix in px.
-    distortion
-        ``(k1, k2, p1, p2, k3)`` of the Brown-Conrady model (OpenCV).
+    lens
+        The intrinsic matrix, and the distortion.
     image_to_floor
         3x3, undistorted px to floor metres.
     """
 
     name: str
     size: tuple[int, int]
-    matrix: FloatArray
-    distortion: FloatArray
+    lens: Lens
     image_to_floor: FloatArray
 
     @classmethod
     def from_pose(
-        cls,
-        name: str,
-        size: tuple[int, int],
-        matrix: npt.ArrayLike,
-        distortion: npt.ArrayLike,
-        rotation: npt.ArrayLike,
-        translation: npt.ArrayLike,
+        cls, name: str, size: tuple[int, int], lens: Lens, rotation: npt.ArrayLike, translation: npt.ArrayLike
     ) -> Camera:
         """A camera from its pose (world to camera, m): ``H = (K [r1 r2 t])^-1``."""
-        k, r, t = (np.asarray(a, dtype=np.float64) for a in (matrix, rotation, translation))
+        r, t = np.asarray(rotation, dtype=np.float64), np.asarray(translation, dtype=np.float64)
         if r.shape != (3, 3) or not np.allclose(r @ r.T, np.eye(3), atol=1e-4) or np.linalg.det(r) < 0:
             raise ValueError(f"{name}: rotation: expected an orthonormal 3x3 matrix that is no mirror")
-        floor_to_image = k @ np.column_stack([r[:, 0], r[:, 1], t.reshape(3)])
-        return cls(name, size, k, np.asarray(distortion, float), invert_homography(floor_to_image, name))
+        floor_to_image = lens.matrix @ np.column_stack([r[:, 0], r[:, 1], t.reshape(3)])
+        return cls(name, size, lens, invert_homography(floor_to_image, name))
+
+    @property
+    def matrix(self) -> FloatArray:
+        """The lens's 3x3 intrinsic matrix in px."""
+        return self.lens.matrix
+
+    @property
+    def distortion(self) -> FloatArray:
+        """The lens's distortion coefficients."""
+        return self.lens.distortion
 
     @cached_property
-    def pose(self) -> tuple[FloatArray, FloatArray]:
+    def pose(self) -> Pose:
         """Rotation (3, 3) and translation (3,) in m, world to camera, with the camera above the floor."""
         columns = np.linalg.inv(self.matrix) @ np.linalg.inv(self.image_to_floor)
         columns /= np.sqrt(np.linalg.norm(columns[:, 0]) * np.linalg.norm(columns[:, 1]))
@@ -181,7 +192,7 @@ class Camera:
         u, _, vt = np.linalg.svd(np.column_stack([columns[:, 0], columns[:, 1], r3]))
         return self._refined_pose(u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt, columns[:, 2])
 
-    def _refined_pose(self, rotation: FloatArray, translation: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def _refined_pose(self, rotation: FloatArray, translation: FloatArray) -> Pose:
         """The pose that agrees best with the homography on the floor in the picture.
 
         A homography fitted to marks is no exact pose: what is left over is spread over the picture (Levenberg-Marquardt)
@@ -189,10 +200,10 @@ class Camera:
         """
         u, v = np.meshgrid(np.linspace(0, self.size[0] - 1, 12), np.linspace(0, self.size[1] - 1, 12))
         pixels = np.column_stack([u.ravel(), v.ravel()])
-        straight = self.undistort_points(pixels)
-        radius = np.hypot(*((straight - self.matrix[:2, 2]) / self.matrix[[0, 1], [0, 1]]).T)
-        valid = (np.abs(self.distort_points(straight) - pixels).max(axis=1) < 0.1) & (radius**2 < self._valid_radius2)
-        pixels, straight = pixels[valid], straight[valid]  # beyond the fold of the distortion nothing can be inverted
+        straight = self.lens.undistort(pixels)
+        invertible = np.abs(self.lens.distort(straight) - pixels).max(axis=1) < 0.1  # not beyond the distortion's fold
+        invertible &= self.lens.valid(straight)
+        pixels, straight = pixels[invertible], straight[invertible]
         floor = apply_homography(self.image_to_floor, straight)
         depth = floor @ rotation[2, :2] + translation[2]
         centre = -rotation.T @ translation
@@ -201,19 +212,10 @@ class Camera:
         if seen.sum() < 12:
             return rotation, translation
         points = np.column_stack([floor[seen], np.zeros(int(seen.sum()))])
-        ideal = points @ rotation.T + translation
-        ideal = ideal[:, :2] / ideal[:, 2:] * self.matrix[[0, 1], [0, 1]] + self.matrix[:2, 2]
-        if np.abs(self.distort_points(ideal) - pixels[seen]).max() < 0.01:  # from a pose, not from marks
+        expected = self.lens.distort(self.lens.pinhole(points @ rotation.T + translation))
+        if np.abs(expected - pixels[seen]).max() < 0.01:  # from a pose, not from marks
             return rotation, translation
-        turn, shift = cv2.solvePnPRefineLM(
-            points,
-            pixels[seen],
-            self.matrix,
-            self.distortion,
-            cv2.Rodrigues(rotation)[0],
-            translation.reshape(3, 1).copy(),
-        )
-        return np.asarray(cv2.Rodrigues(turn)[0], float), np.asarray(shift, float).reshape(3)
+        return self.lens.refine_pose(points, pixels[seen], rotation, translation)
 
     @cached_property
     def centre_m(self) -> FloatArray:
@@ -222,36 +224,8 @@ class Camera:
         return -rotation.T @ translation
 
     def undistort_points(self, points_px: npt.ArrayLike) -> FloatArray:
-        """Raw px (N, 2) to undistorted px (N, 2)."""
-        points = as_points(points_px, name="points_px")
-        if not len(points):
-            return points
-        criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 50, 1e-10)
-        source = points.reshape(-1, 1, 2)
-        if hasattr(cv2, "undistortPointsIter"):  # OpenCV 4
-            ideal = cv2.undistortPointsIter(source, self.matrix, self.distortion, None, self.matrix, criteria)
-        else:
-            ideal = cv2.undistortPoints(source, self.matrix, self.distortion, P=self.matrix, criteria=criteria)
-        return np.asarray(ideal, dtype=np.float64).reshape(-1, 2)
-
-    def distort_points(self, points_px: npt.ArrayLike) -> FloatArray:
-        """Undistorted px (N, 2) to raw px (N, 2): the Brown-Conrady model."""
-        points = as_points(points_px, name="points_px")
-        x, y = ((points - self.matrix[:2, 2]) / self.matrix[[0, 1], [0, 1]]).T
-        k1, k2, p1, p2, k3 = self.distortion
-        r2 = x * x + y * y
-        radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
-        xd = x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x)
-        yd = y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y
-        return np.column_stack([xd, yd]) * self.matrix[[0, 1], [0, 1]] + self.matrix[:2, 2]
-
-    @cached_property
-    def _valid_radius2(self) -> float:
-        """Largest squared normalised radius before the distortion model folds back on itself."""
-        k1, k2, _, _, k3 = self.distortion
-        slope = np.roots([7 * k3, 5 * k2, 3 * k1, 1.0])  # d(r * radial)/dr = 0, in r^2
-        real = slope[(np.abs(slope.imag) < 1e-9) & (slope.real > 0)].real
-        return float(real.min()) if len(real) else np.inf
+        """Raw px (N, 2) to undistorted px (N, 2): :meth:`occlib.lens.Lens.undistort`."""
+        return self.lens.undistort(points_px)
 
     def project(self, points_m: npt.ArrayLike) -> FloatArray:
         """World points (N, 3) in m to raw px (N, 2).
@@ -259,25 +233,35 @@ class Camera:
         NaN behind the camera and where the distortion model folds back (far outside the image).
         """
         rotation, translation = self.pose
-        xyz = as_points(points_m, dimensions=3, name="points_m") @ rotation.T + translation
-        depth = np.where(xyz[:, 2] > 1e-9, xyz[:, 2], np.nan)
-        ideal = xyz[:, :2] / depth[:, None]
-        ideal[(ideal**2).sum(axis=1) >= self._valid_radius2] = np.nan
-        return self.distort_points(ideal * self.matrix[[0, 1], [0, 1]] + self.matrix[:2, 2])
+        return self.lens.project(as_points(points_m, dimensions=3, name="points_m") @ rotation.T + translation)
 
     def floor_to_pixels(self, points_m: npt.ArrayLike) -> FloatArray:
         """Floor points (N, 2) in m to raw px (N, 2); NaN where the camera cannot see them at all."""
         points = as_points(points_m, name="points_m")
         rotation, translation = self.pose
         depth = points @ rotation[2, :2] + translation[2]
-        undistorted = apply_homography(np.linalg.inv(self.image_to_floor), points)
-        ideal = (undistorted - self.matrix[:2, 2]) / self.matrix[[0, 1], [0, 1]]
-        undistorted[(depth <= 1e-9) | ((ideal**2).sum(axis=1) >= self._valid_radius2)] = np.nan
-        return self.distort_points(undistorted)
+        straight = apply_homography(np.linalg.inv(self.image_to_floor), points)
+        straight[(depth <= 1e-9) | ~self.lens.valid(straight)] = np.nan
+        return self.lens.distort(straight)
 
     def pixels_to_floor(self, points_px: npt.ArrayLike) -> FloatArray:
         """Raw px (N, 2) to floor m (N, 2), as if every pixel showed the floor."""
-        return apply_homography(self.image_to_floor, self.undistort_points(points_px))
+        return apply_homography(self.image_to_floor, self.lens.undistort(points_px))
+
+    def pixel_centres(self) -> FloatArray:
+        """Raw px ``(x, y)`` of every pixel's centre, (H, W, 2)."""
+        width, height = self.size
+        v, u = np.mgrid[:height, :width]
+        return np.stack([u, v], axis=-1).astype(np.float64)
+
+    def rays(self, points_px: npt.ArrayLike | None = None) -> FloatArray:
+        """World directions through raw px (..., 2), or through every pixel's centre (H, W, 2), as (..., 3).
+
+        They start at :attr:`centre_m` and are not normalised: each reaches 1 m along the optical axis.
+        """
+        points = self.pixel_centres() if points_px is None else np.asarray(points_px, dtype=np.float64)
+        directions = self.lens.directions(points) @ self.pose[0]
+        return directions.reshape(*points.shape[:-1], 3)
 
     def inside(self, points_px: npt.ArrayLike) -> Mask:
         """Which raw px (N, 2) lie on the sensor."""
@@ -320,25 +304,22 @@ class Rig:
     @classmethod
     def load(cls, path: str | Path) -> Rig:
         """Read ``rig.yaml``; ``ValueError`` with the file's name and the field that is wrong."""
-        content = read_yaml(path)
+        content = load_rig(path)
         try:
-            return cls.from_dict(content)
+            return cls.of(content)
         except ValueError as error:
             raise ValueError(f"{path}: {error}") from None
 
     @classmethod
     def from_dict(cls, content: Any) -> Rig:
         """Build from the mapping that ``rig.yaml`` holds (see the contract in the README)."""
-        if not isinstance(content, dict) or not isinstance(content.get("cameras"), dict) or not content["cameras"]:
-            raise ValueError("expected a mapping with 'units', 'floor' and 'cameras'")
-        if content.get("units", "m") != "m":
-            raise ValueError(f"units: expected 'm', got {content['units']!r}")
-        area = content.get("floor")
-        if not isinstance(area, dict):
-            raise ValueError("floor: expected a mapping with 'x', 'y' and 'resolution'")
-        x, y = (tuple(_numbers(area.get(axis), (2,), f"floor.{axis}").tolist()) for axis in "xy")
-        floor = Floor(x, y, float(_numbers(area.get("resolution"), (), "floor.resolution")))
-        return cls(floor, {str(name): _camera(str(name), fields) for name, fields in content["cameras"].items()})
+        return cls.of(rig_file(content))
+
+    @classmethod
+    def of(cls, content: RigFile) -> Rig:
+        """Build from the checked content of ``rig.yaml``."""
+        floor = Floor(content.floor.x, content.floor.y, content.floor.resolution)
+        return cls(floor, {name: _camera(name, entry) for name, entry in content.cameras.items()})
 
     def to_dict(self) -> dict[str, Any]:
         """The mapping that :meth:`from_dict` reads."""
@@ -348,8 +329,7 @@ class Rig:
             "cameras": {
                 name: {
                     "size": list(camera.size),
-                    "matrix": camera.matrix.tolist(),
-                    "distortion": camera.distortion.tolist(),
+                    **camera.lens.to_dict(),
                     "floor_homography": camera.image_to_floor.tolist(),
                 }
                 for name, camera in self.cameras.items()
@@ -361,39 +341,23 @@ class Rig:
         return yaml.safe_dump(self.to_dict(), sort_keys=False, default_flow_style=None)
 
 
-def _numbers(value: Any, shape: tuple[int, ...], name: str) -> FloatArray:
-    try:
-        array = np.asarray(value, dtype=np.float64)
-    except (TypeError, ValueError, OverflowError):
-        array = np.array(np.nan)
-    if array.shape != shape or not np.isfinite(array).all():
-        what = f"{'x'.join(map(str, shape))} finite numbers" if shape else "a finite number"
-        raise ValueError(f"{name}: expected {what}, got {str(value)[:60]}")
-    return array
-
-
-def _camera(name: str, fields: Any) -> Camera:
-    if not isinstance(fields, dict):
-        raise ValueError(f"cameras.{name}: expected a mapping")
-    where = f"cameras.{name}"
-    width, height = _numbers(fields.get("size"), (2,), f"{where}.size")
+def image_size(name: str, value: Any) -> tuple[int, int]:
+    """``(width, height)`` in px as a file has it, checked."""
+    width, height = checks.numbers(name, value, (2,))
     if min(width, height) < 1 or max(width, height) > 100_000 or width != int(width) or height != int(height):
-        raise ValueError(f"{where}.size: expected [width, height] in px, got {str(fields['size'])[:60]}")
-    size = (int(width), int(height))
-    matrix = _numbers(fields.get("matrix"), (3, 3), f"{where}.matrix")
-    fx, fy, bottom = matrix[0, 0], matrix[1, 1], matrix[2]
-    if min(fx, fy) < 1e-3 or np.abs(matrix).max() > 1e9 or matrix[0, 1] or matrix[1, 0] or bottom.tolist() != [0, 0, 1]:
-        raise ValueError(
-            f"{where}.matrix: expected [[fx, 0, cx], [0, fy, cy], [0, 0, 1]] in px with fx, fy > 0, got {matrix.tolist()}"
-        )
-    distortion = _numbers(fields.get("distortion", [0.0] * 5), (5,), f"{where}.distortion")
-    if "floor_homography" in fields:
-        homography = _numbers(fields["floor_homography"], (3, 3), f"{where}.floor_homography")
-        invert_homography(homography, f"{where}.floor_homography")
-        return Camera(name, size, matrix, distortion, homography)
-    rotation = _numbers(fields.get("rotation"), (3, 3), f"{where}.rotation")
-    translation = _numbers(fields.get("translation"), (3,), f"{where}.translation")
-    return Camera.from_pose(name, size, matrix, distortion, rotation, translation)
+        raise ValueError(f"{name}: expected [width, height] in px, got {checks.shown(value)}")
+    return int(width), int(height)
+
+
+def _camera(name: str, entry: CameraEntry) -> Camera:
+    size = (int(entry.size[0]), int(entry.size[1]))
+    lens = Lens.from_dict({"matrix": entry.matrix, "distortion": entry.distortion}, f"cameras.{name}.")
+    if entry.floor_homography is not None:
+        homography = np.array(entry.floor_homography)
+        invert_homography(homography, f"cameras.{name}.floor_homography")
+        return Camera(name, size, lens, homography)
+    assert entry.rotation is not None and entry.translation is not None  # CameraEntry has one or the other
+    return Camera.from_pose(name, size, lens, entry.rotation, entry.translation)
 
 
 def look_at(position: Iterable[float], target: Iterable[float]) -> FloatArray:
@@ -403,13 +367,3 @@ def look_at(position: Iterable[float], target: Iterable[float]) -> FloatArray:
     right = np.cross(forward, [0.0, 0.0, 1.0])
     right /= np.linalg.norm(right)
     return np.array([right, np.cross(forward, right), forward])
-
-
-def pixel_rays(camera: Camera, offset: tuple[float, float] = (0.0, 0.0)) -> FloatArray:
-    """World directions (H, W, 3) through every pixel's centre plus ``offset`` px; not normalised."""
-    width, height = camera.size
-    v, u = np.mgrid[:height, :width]
-    points = np.column_stack([u.ravel() + offset[0], v.ravel() + offset[1]])
-    ideal = (camera.undistort_points(points) - camera.matrix[:2, 2]) / camera.matrix[[0, 1], [0, 1]]
-    world = np.column_stack([ideal, np.ones(len(ideal))]) @ camera.pose[0]
-    return np.asarray(world.reshape(height, width, 3))

@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import distance_transform_edt, find_objects
 
+from occlib.base import checks
 from occlib.base.arrays import FloatArray, Mask, as_points
 from occlib.geometry import Camera
 
@@ -74,8 +75,7 @@ def find_regions(
     for name, array in [("mask", mask), *(("within", other) for other in within)]:
         if array.dtype != np.bool_ or array.ndim != 2 or array.shape != mask.shape:
             raise ValueError(f"{name}: expected bool {mask.shape}, got {array.dtype} {array.shape}")
-    if join < 0:
-        raise ValueError(f"join: expected px >= 0, got {join}")
+    checks.number("join", join, least=0, unit="px")
     labels = np.zeros(mask.shape, np.int32)
     pixels = mask.view(np.uint8)
     left, top, width, height = cv2.boundingRect(pixels)  # most of a floor is empty: label only where something is
@@ -120,8 +120,7 @@ def split_regions(
     labels, regions
         As :func:`find_regions` returns them; the parts of split regions come last.
     """
-    if core.dtype != np.bool_ or core.shape != labels.shape:
-        raise ValueError(f"core: expected bool {labels.shape}, got {core.dtype} {core.shape}")
+    checks.mask("core", core, labels.shape)
     left, top, width, height = cv2.boundingRect((core & (labels > 0)).view(np.uint8))
     window = np.s_[top : top + height, left : left + width]
     inner = labels[window]
@@ -260,8 +259,7 @@ def scale_table(camera: Camera, *, cell_px: int = 40) -> ScaleTable:
     The paper determines them by experiment. They hold for what lies flat on the floor: an upright object covers more px than
     its base, and comes out too large.
     """
-    if cell_px < 1:
-        raise ValueError(f"cell_px: expected px >= 1, got {cell_px}")
+    checks.number("cell_px", cell_px, least=1, unit="px")
     width, height = camera.size
     columns, rows = -(-width // cell_px), -(-height // cell_px)
     grid = np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), axis=-1).reshape(-1, 2)

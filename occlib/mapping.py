@@ -7,6 +7,7 @@ occupied, in percent. What no camera sees is unknown, never free. Files are the 
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias
@@ -15,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 import yaml
 
+from occlib.base import checks
 from occlib.base.arrays import FloatArray, Image, Mask
 from occlib.base.files import encode_image, read_image, read_yaml, write_file
 from occlib.geometry import Floor
@@ -94,11 +96,59 @@ def occupancy_map(occupied: Mask, visible: Mask, floor: Floor) -> OccupancyMap:
     array([[100,   0,  -1]], dtype=int8)
     """
     for name, mask in (("occupied", occupied), ("visible", visible)):
-        if mask.shape != floor.shape or mask.dtype != bool:
-            raise ValueError(f"{name}: expected bool {floor.shape}, got {mask.dtype} {mask.shape}")
+        checks.mask(name, mask, floor.shape)
     # Plain int8 arithmetic, ten times as fast as masked assignment: 101, 1 or 0, less one.
     claimed = occupied.view(np.int8) * np.int8(OCCUPIED - UNKNOWN)
     return OccupancyMap(np.maximum(claimed, visible.view(np.int8)) + np.int8(UNKNOWN), floor)
+
+
+def instant_map(
+    labels: npt.NDArray[np.int32],
+    unconfirmed: Mask,
+    occupied: Mask,
+    views: Mapping[str, Mask],
+    visible: Mapping[str, Mask],
+    needed: int,
+    floor: Floor,
+) -> tuple[OccupancyMap, npt.NDArray[np.uint8]]:
+    """The map of one instant: occupied where an object is, free where a view looks at bare floor, else unknown.
+
+    Parameters
+    ----------
+    labels
+        int (ny, nx): 0, or the object of each cell.
+    unconfirmed
+        bool (ny, nx), cells of what may yet turn out to be no object.
+    occupied
+        bool (ny, nx), the fused foreground.
+    views
+        ``{camera: bool (ny, nx)}``, the foreground of each camera that can be trusted now.
+    visible
+        ``{camera: bool (ny, nx)}``, the cells that each camera of the rig sees, whether it can be trusted now or not.
+    needed
+        So many cameras must see a cell before it is called occupied.
+    floor
+        The map's floor.
+
+    Returns
+    -------
+    map, reason
+        The map, and uint8 (ny, nx), why a cell is unknown (:data:`REASONS`), 0 where it is known.
+    """
+    count = np.sum([visible[name] for name in views], axis=0) if views else np.zeros(floor.shape, int)
+    bare = np.zeros(floor.shape, bool)
+    for name, view in views.items():
+        bare |= visible[name] & ~view
+    lost = np.zeros(floor.shape, bool)  # a camera that is excluded leaves its cells to one view: not free
+    for name in visible.keys() - views.keys():
+        lost |= visible[name] & (count < needed)
+    reason = np.zeros(floor.shape, np.uint8)
+    reason[occupied | ~bare] = DISAGREE
+    reason[~bare & (count < needed) | lost] = ONE_VIEW
+    reason[unconfirmed] = UNCONFIRMED
+    reason[count == 0] = BLIND
+    reason[labels > 0] = 0
+    return occupancy_map(labels > 0, reason == 0, floor), reason
 
 
 def inflate(grid: OccupancyMap, radius_m: float) -> OccupancyMap:
@@ -271,8 +321,7 @@ def _values(picture: Image, settings: _Settings) -> MapData:
 def _settings(fields: dict[str, Any]) -> _Settings:
     """Mode, resolution, thresholds and ``negate`` of a map description."""
     mode = fields.get("mode", "trinary")
-    if mode not in MODES:
-        raise ValueError(f"mode: expected one of {', '.join(MODES)}, got {mode!r}")
+    checks.choice("mode", mode, MODES)
     if fields.get("negate", 0) not in (0, 1):
         raise ValueError(f"negate: expected 0 or 1, got {fields['negate']!r}")
     resolution = _number(fields.get("resolution"), "resolution")
@@ -293,6 +342,4 @@ def _origin(value: Any) -> tuple[float, float]:
 
 
 def _number(value: Any, name: str) -> float:
-    if not isinstance(value, int | float) or isinstance(value, bool) or not -1e308 <= value <= 1e308:
-        raise ValueError(f"{name}: expected a finite number, got {value!r}")
-    return float(value)
+    return checks.number(name, value, unit="a finite number")

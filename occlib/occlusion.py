@@ -7,43 +7,119 @@ views segmented, and little else.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from functools import reduce
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from occlib.base import checks
 from occlib.base.arrays import FloatArray, Image, Mask
 
-RULES = ("and", "or", "most", "product", "log-odds", "planes")
-"""Fusion rules by name, see :func:`fuse`."""
+RuleFunction = Callable[[Any, Mask], npt.ArrayLike]
+"""``function(views, seen)``: the views' evidence and what they see, both (K, ny, nx), to one array (ny, nx)."""
+
+
+@dataclass(frozen=True)
+class FusionRule:
+    """A rule that joins the views' evidence, and what its callers need to know about it.
+
+    Parameters
+    ----------
+    name
+        How it is asked for.
+    description
+        One line: when is a cell occupied?
+    function
+        What :func:`fusion_rule` decorates.
+    soft
+        It weighs probabilities, and says more when it is given them than when it is given yes or no.
+    planes
+        It wants each view on several parallel planes above the floor, (K, planes, ny, nx).
+    unanimous
+        What it calls occupied is occupied in every view that sees it: its regions lie inside each view's.
+    one_view_enough
+        It believes a single view, so a cell that only one view sees may be occupied.
+    """
+
+    name: str
+    description: str
+    function: RuleFunction
+    soft: bool = False
+    planes: bool = False
+    unanimous: bool = False
+    one_view_enough: bool = False
+
+
+RULES: dict[str, FusionRule] = {}
+"""Fusion rules by name: those below, and those that :func:`fusion_rule` adds."""
+
+_BUILT_IN: list[str] = []
+"""The rules of this file, which keep their names; a rule of one's own may be defined again, as in a notebook."""
+
+
+def fusion_rule(
+    name: str,
+    *,
+    soft: bool = False,
+    planes: bool = False,
+    unanimous: bool = False,
+    one_view_enough: bool = False,
+) -> Callable[[RuleFunction], RuleFunction]:
+    """Decorator: a rule of your own joins :data:`RULES`, and with them the pipeline's settings and ``--rule``.
+
+    Parameters
+    ----------
+    name
+        How it is called from now on; none of the built-in ones.
+    soft, planes, unanimous, one_view_enough
+        See :class:`FusionRule`.
+
+    Notes
+    -----
+    The function gets the views' evidence (K, ny, nx) (for ``planes`` (K, planes, ny, nx)) and a bool array of the same shape
+    that says where each view sees; what it does not see must not count. The evidence is float64 probabilities from 0 to 1 for
+    a ``soft`` rule, else of any type, higher meaning more surely occupied. It returns the evidence of the cells (ny, nx), a
+    soft rule their probabilities. The first line of its docstring says when a cell is occupied.
+
+    Examples
+    --------
+    >>> @fusion_rule("mean", soft=True)
+    ... def mean(views, seen):
+    ...     "the mean of the probabilities is at least one half"
+    ...     return np.where(seen, views, 0).sum(axis=0) / np.maximum(seen.sum(axis=0), 1)
+    >>> fuse([np.array([[0.9, 0.25]]), np.array([[0.7, 0.25]])], "mean")
+    array([[0.8 , 0.25]])
+    >>> del RULES["mean"]
+    """
+    if not isinstance(name, str) or not re.fullmatch(r"[A-Za-z][\w-]*", name) or name in _BUILT_IN:
+        taken = ", ".join(_BUILT_IN)
+        raise ValueError(f"name: expected letters, digits, _ and -, and none of {taken}; got {name!r}")
+
+    def register(function: RuleFunction) -> RuleFunction:
+        text = (function.__doc__ or name).strip().splitlines()[0]
+        RULES[name] = FusionRule(name, text, function, soft, planes, unanimous, one_view_enough)
+        return function
+
+    return register
 
 
 def fuse(evidence: Sequence[Image], rule: str = "and", *, visible: Sequence[Mask] | None = None) -> Image:
     """Join the views' evidence on the floor (section 5).
-
-    =========  ===================================================================================================
-    rule       a cell is occupied where
-    =========  ===================================================================================================
-    and        *every* view that sees it says so (the paper's); soft: the smallest evidence
-    or         any view says so; soft: the largest
-    most       all but one of the views that see it say so, and at least one: one missed view no longer deletes it
-    product    the geometric mean of the probabilities is at least one half: a soft AND
-    log-odds   the sum of the log-odds is positive: each view votes with its certainty
-    planes     on at least half of the planes *every* view says so: the body counts where the feet are not seen
-    =========  ===================================================================================================
 
     Parameters
     ----------
     evidence
         One array (ny, nx) a view, all of one shape and dtype: bool masks, or soft evidence where higher means more
         surely occupied. For ``"and"`` the soft result is the smallest evidence, so that thresholding the result equals
-        the AND of the thresholded views. ``product``, ``log-odds`` and ``planes`` take bool, uint8 (0 to 255) and floats in
-        [0, 1] as probabilities. For ``"planes"`` (planes, ny, nx) a view: the view on parallel planes above the floor.
+        the AND of the thresholded views. Soft rules take bool, uint8 (0 to 255) and floats in [0, 1] as probabilities.
+        For ``"planes"`` (planes, ny, nx) a view: the view on parallel planes above the floor.
     rule
-        One of :data:`RULES`. Explaining away needs more than one cell at a time: :func:`occlib.explaining.search.explain`.
+        One of :data:`RULES`, which say when a cell is occupied. Explaining away needs more than one cell at a time:
+        :func:`occlib.explaining.search.explain`.
     visible
         Bool, of the evidence's shape, a view: a view says nothing about cells it cannot see. None if every view sees every
         cell. A cell that no view sees is 0.
@@ -60,61 +136,88 @@ def fuse(evidence: Sequence[Image], rule: str = "and", *, visible: Sequence[Mask
     >>> fuse(views, "most").tolist(), (fuse(views, "log-odds") > 0.5).tolist()
     ([[0.7, 0.4]], [[True, True]])
     """
-    if rule not in RULES:
-        raise ValueError(f"rule: expected one of {', '.join(RULES)}, got {rule!r}")
+    chosen = RULES[checks.choice("rule", rule, RULES)]
     views = [np.asarray(view) for view in evidence]
     if not views:
         raise ValueError("evidence: expected at least one view, got none")
-    dimensions = 3 if rule == "planes" else 2
-    if any(v.shape != views[0].shape or v.dtype != views[0].dtype or v.ndim != dimensions for v in views):
+    shape, dtype = views[0].shape, views[0].dtype
+    if any(v.shape != shape or v.dtype != dtype or v.ndim != (3 if chosen.planes else 2) for v in views):
         raise ValueError(f"evidence: expected one shape and dtype, got {[(v.shape, str(v.dtype)) for v in views]}")
-    if views[0].dtype.kind == "f" and not all(np.isfinite(view).all() for view in views):
+    if chosen.planes and not shape[0]:
+        raise ValueError("evidence: expected at least one plane, got none")
+    if dtype.kind == "f" and not all(np.isfinite(view).all() for view in views):
         raise ValueError("evidence: expected finite numbers, got NaN or infinity")
-    if visible is not None and (len(visible) != len(views) or any(np.shape(v) != views[0].shape for v in visible)):
-        raise ValueError(f"visible: expected {len(views)} masks of shape {views[0].shape}")
-    if rule in ("and", "or") or (rule == "planes" and len(views[0]) == 0):
-        return _extreme(views, np.minimum if rule == "and" else np.maximum, visible)
-    if rule == "planes":
-        level = np.stack(
-            [_extreme([v[p] for v in views], np.minimum, _plane(visible, p)) for p in range(len(views[0]))]
-        )
-        return _as_evidence(_as_probability(level).mean(axis=0), views[0].dtype)
-    seen = np.ones((len(views), *views[0].shape), bool) if visible is None else np.stack(visible)
-    return _joint(np.stack(views), seen, rule)
+    if visible is not None and (len(visible) != len(views) or any(np.shape(v) != shape for v in visible)):
+        raise ValueError(f"visible: expected {len(views)} masks of shape {shape}")
+    stack = np.stack(views)
+    seen = np.ones(stack.shape, bool) if visible is None else np.stack(visible).astype(bool, copy=False)
+    fused = np.asarray(chosen.function(_as_probability(stack) if chosen.soft else stack, seen))
+    if fused.shape != shape[-2:]:
+        raise ValueError(f"{rule}: expected a rule that returns {shape[-2:]}, got {fused.shape}")
+    if visible is not None:
+        fused = np.where(seen.reshape(-1, *shape[-2:]).any(axis=0), fused, np.zeros((), fused.dtype))
+    return _as_evidence(fused, dtype) if chosen.soft else fused.astype(dtype, copy=False)
 
 
-def _extreme(views: Sequence[Image], choose: Any, visible: Sequence[Mask] | None) -> Image:
-    if visible is None:
-        return np.asarray(reduce(choose, views[1:], views[0].copy()))
-    high = choose is np.minimum  # what changes nothing
-    if views[0].dtype == np.bool_:
-        neutral: Any = high
-    elif views[0].dtype.kind == "f":
-        neutral = np.inf if high else -np.inf
-    else:
-        limits = np.iinfo(views[0].dtype)
-        neutral = limits.max if high else limits.min
-    fused = reduce(choose, [np.where(s, v, np.array(neutral, v.dtype)) for v, s in zip(views, visible, strict=True)])
-    return np.asarray(np.where(np.any(visible, axis=0), fused, np.zeros((), views[0].dtype)))
+# --- the rules: a cell is occupied where ... ------------------------------------------------------------------
+@fusion_rule("and", unanimous=True)
+def _and(views: Image, seen: Mask) -> Image:
+    """every view that sees it says so (the paper's); soft: the smallest evidence"""
+    return np.asarray(np.where(seen, views, _limits(views.dtype)[1]).min(axis=0))
 
 
-def _plane(visible: Sequence[Mask] | None, plane: int) -> Sequence[Mask] | None:
-    return None if visible is None else [seen[plane] for seen in visible]
+@fusion_rule("or", one_view_enough=True)
+def _or(views: Image, seen: Mask) -> Image:
+    """any view says so; soft: the largest evidence"""
+    return np.asarray(np.where(seen, views, _limits(views.dtype)[0]).max(axis=0))
 
 
-def _joint(views: Image, seen: Mask, rule: str) -> Image:
-    """The rules that need all views of a cell at once, (K, ny, nx)."""
-    count = seen.sum(axis=0)
-    if rule == "most":
-        ranked = np.sort(np.where(seen, views, np.zeros((), views.dtype)), axis=0)[::-1]  # what is not seen comes last
-        chosen = np.maximum(count - 2, 0)[None]
-        return np.asarray(np.where(count > 0, np.take_along_axis(ranked, chosen, axis=0)[0], np.zeros((), views.dtype)))
-    p = np.clip(_as_probability(views), 1e-3, 1 - 1e-3)  # no view is ever certain
-    if rule == "product":
-        joint = np.exp(np.where(seen, np.log(p), 0).sum(axis=0) / np.maximum(count, 1))
-    else:
-        joint = 1 / (1 + np.exp(-np.where(seen, np.log(p / (1 - p)), 0).sum(axis=0)))
-    return _as_evidence(np.where(count > 0, joint, 0), views.dtype)
+@fusion_rule("most")
+def _most(views: Image, seen: Mask) -> Image:
+    """all but one of the views that see it say so, and at least one: one missed view no longer deletes it"""
+    ranked = np.sort(np.where(seen, views, _limits(views.dtype)[0]), axis=0)[::-1]  # what is not seen comes last
+    second_smallest = np.maximum(seen.sum(axis=0) - 2, 0)[None]
+    return np.asarray(np.take_along_axis(ranked, second_smallest, axis=0)[0])
+
+
+@fusion_rule("product", soft=True)
+def _product(views: FloatArray, seen: Mask) -> FloatArray:
+    """the geometric mean of the probabilities is at least one half: a soft AND"""
+    return np.asarray(np.exp(np.where(seen, np.log(_unsure(views)), 0).sum(axis=0) / np.maximum(seen.sum(axis=0), 1)))
+
+
+@fusion_rule("log-odds", soft=True)
+def _log_odds(views: FloatArray, seen: Mask) -> FloatArray:
+    """the sum of the log-odds is positive: each view votes with its certainty"""
+    p = _unsure(views)
+    return np.asarray(1 / (1 + np.exp(-np.where(seen, np.log(p / (1 - p)), 0).sum(axis=0))))
+
+
+@fusion_rule("planes", soft=True, planes=True)
+def _planes(views: FloatArray, seen: Mask) -> FloatArray:
+    """on at least half of the planes every view says so: the body counts where the feet are not seen"""
+    return np.asarray(np.where(seen.any(axis=0), _and(views, seen), 0).mean(axis=0))
+
+
+_BUILT_IN.extend(RULES)
+
+
+def _limits(dtype: np.dtype[Any]) -> tuple[Any, Any]:
+    """The least and the largest evidence of a type: what a view that does not see a cell must not overrule."""
+    if dtype == np.bool_:
+        return np.False_, np.True_
+    if dtype.kind == "f":
+        return dtype.type(-np.inf), dtype.type(np.inf)
+    limits = np.iinfo(dtype)
+    return dtype.type(limits.min), dtype.type(limits.max)
+
+
+LEAST_DOUBT = 1e-3
+"""No view is ever certain: probabilities are kept this far from 0 and 1, or one wrong view could never be outvoted."""
+
+
+def _unsure(probability: FloatArray) -> FloatArray:
+    return np.clip(probability, LEAST_DOUBT, 1 - LEAST_DOUBT)
 
 
 def _as_probability(evidence: Image) -> FloatArray:

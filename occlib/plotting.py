@@ -19,6 +19,7 @@ from matplotlib.image import AxesImage
 from matplotlib.patheffects import withStroke
 
 from occlib.base.arrays import FloatArray, Image, Mask
+from occlib.formats import TrueObject
 from occlib.geometry import Camera, Floor, Rig
 
 if TYPE_CHECKING:
@@ -116,7 +117,7 @@ def show_map(
     grid: OccupancyMap,
     objects: Sequence[ObjectVector] = (),
     *,
-    truth: Sequence[Mapping[str, Any]] = (),
+    truth: Sequence[TrueObject] = (),
     title: str = "",
     reason: npt.NDArray[np.uint8] | None = None,
 ) -> None:
@@ -154,10 +155,11 @@ def _show_reasons(ax: Axes, shade: FloatArray, reason: npt.NDArray[np.uint8], fl
         ax.legend(loc="upper right", fontsize=7, framealpha=0.9)
 
 
-def show_footprints(ax: Axes, truth: Sequence[Mapping[str, Any]]) -> None:
-    """True footprints dashed, or a cross where truth has a point only."""
-    for thing in truth:
-        outline = np.asarray(thing.get("footprint") or [[thing["x"], thing["y"]]], dtype=float)
+def show_footprints(ax: Axes, truth: Sequence[TrueObject | npt.ArrayLike]) -> None:
+    """True footprints dashed, or a cross where truth has a point only; outlines (M, 2) in m are drawn alike."""
+    for true in truth:
+        footprint = (true.footprint or [[true.x, true.y]]) if isinstance(true, TrueObject) else true
+        outline = np.asarray(footprint, dtype=float)
         if len(outline) > 1:
             ax.plot(*np.vstack([outline, outline[:1]]).T, "--", color=TRUTH_COLOUR, linewidth=1)
         else:
@@ -201,7 +203,12 @@ def show_matches(ax: Axes, matches: Sequence[Match], *, colour: str = "#D55E00")
 
 
 def overview(
-    rig: Rig, images: Mapping[str, Image | None], result: FrameResult, *, title: str = "", truth: Any = ()
+    rig: Rig,
+    images: Mapping[str, Image | None],
+    result: FrameResult,
+    *,
+    title: str = "",
+    truth: Sequence[TrueObject] = (),
 ) -> Figure:
     """The views of an instant, their foreground on the floor, and the map: what ``occlib run`` saves.
 

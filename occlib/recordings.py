@@ -1,7 +1,7 @@
-"""Recordings: folders of pictures or videos in, synchronised frames out; files written whole or not at all.
+"""Recordings: folders of pictures or videos in, synchronised frames out.
 
 The layout of a recording (``rig.yaml``, ``background/``, ``frames/``, ``truth.json``) is part of the
-contract in the README.
+contract in the README. How a camera's pictures may be stored is a matter of the :data:`FORMATS`.
 """
 
 from __future__ import annotations
@@ -10,8 +10,8 @@ import hashlib
 import os
 import re
 import sys
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -19,15 +19,19 @@ from typing import Any
 import cv2
 import numpy as np
 
+from occlib.base import checks
 from occlib.base.arrays import Image
 from occlib.base.files import file_hash, read_image, read_yaml, write_file
 from occlib.geometry import Rig
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg")
-
+"""Of the pictures in a folder, in small or capital letters."""
 
 VIDEO_SUFFIXES = (".mp4", ".avi")
+"""Of videos; the first that is there is taken."""
 
+EMPTY_FRAMES = 60
+"""At most this many pictures of the empty floor are read: their mean is as sure as the camera's noise lets it be."""
 
 DATA = Path(str(resources.files("occlib") / "data"))
 """What comes with the package: the catalogue of public recordings, and the calibration and truth made for them."""
@@ -57,11 +61,126 @@ FETCH_TIMEOUT_S = 30.0
 
 
 DEFAULT_FPS = 10.0
+"""Frames a second of pictures whose ``rig.yaml`` says nothing."""
 
 
 os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # a corrupt video is reported here, in one line, not by FFmpeg
 
 
+# --- one camera's pictures ----------------------------------------------------------------------------
+@dataclass(frozen=True)
+class Footage:
+    """One camera's pictures on disk, in order.
+
+    Parameters
+    ----------
+    files
+        The file of each picture, or the one file that holds them all.
+    numbers
+        The number of each picture, ascending: from its name, or else its position, from 0.
+    read
+        ``read(positions)`` yields the pictures at these positions, ascending, uint8 RGB (H, W, 3). A picture that cannot be
+        read is a ``ValueError`` that names the file.
+    named
+        Whether the numbers come from names. Only then can it be told which pictures a camera lacks.
+    fps
+        Frames a second, if the file says so.
+    """
+
+    files: Path | tuple[Path, ...]
+    numbers: tuple[int, ...]
+    read: Callable[[Sequence[int]], Iterator[Image]]
+    named: bool = False
+    fps: float | None = None
+
+
+FORMATS: dict[str, Callable[[Path], Footage | None]] = {}
+"""Ways to store a camera's pictures: what follows ``frames/<camera>``, and the function that opens it. The first that fits counts."""
+
+
+def input_format(pattern: str) -> Callable[[Callable[[Path], Footage | None]], Callable[[Path], Footage | None]]:
+    """Decorator: a function that opens a camera's pictures joins :data:`FORMATS`.
+
+    Parameters
+    ----------
+    pattern
+        What a user is told to put after ``frames/<camera>``, such as ``.mp4|avi``.
+
+    Notes
+    -----
+    The function gets ``frames/<camera>``, a path without suffix, and returns the :class:`Footage` there, or ``None`` if there
+    is none of its kind. ``background/<camera>`` is opened in the same way.
+    """
+
+    def register(function: Callable[[Path], Footage | None]) -> Callable[[Path], Footage | None]:
+        FORMATS[pattern] = function
+        return function
+
+    return register
+
+
+def open_footage(place: Path) -> Footage | None:
+    """A camera's pictures at ``frames/<camera>`` or ``background/<camera>``, in whichever of :data:`FORMATS`; ``None`` if there are none."""
+    return next((found for open_format in FORMATS.values() if (found := open_format(place)) is not None), None)
+
+
+@input_format("/*.png|jpg")
+def _pictures(folder: Path) -> Footage | None:
+    if not folder.is_dir():
+        return None
+    paths = sorted(
+        (p for p in folder.iterdir() if p.suffix.lower() in IMAGE_SUFFIXES and not p.name.startswith(".")),
+        key=lambda p: (_number(p) is None, _number(p) or 0, p.name),
+    )
+    if not paths:
+        return None
+    numbers = [number for number in map(_number, paths) if number is not None]
+    named = len(set(numbers)) == len(paths)  # each has a number of its own
+    return Footage(
+        tuple(paths),
+        tuple(numbers) if named else tuple(range(len(paths))),
+        lambda positions: (read_image(paths[i]) for i in positions),
+        named,
+    )
+
+
+def _number(path: Path) -> int | None:
+    """The number at the end of a picture's name, or the only one in it."""
+    digits = re.findall(r"\d+$", path.stem) or re.findall(r"\d+", path.stem)
+    return int(digits[0]) if len(digits) == 1 else None
+
+
+@input_format(".mp4|avi")
+def _video(place: Path) -> Footage | None:
+    path = next((p for s in VIDEO_SUFFIXES if (p := place.with_name(place.name + s)).is_file()), None)
+    if path is None:
+        return None
+    video = cv2.VideoCapture(str(path))
+    try:
+        count, fps = int(video.get(cv2.CAP_PROP_FRAME_COUNT)), float(video.get(cv2.CAP_PROP_FPS))
+    finally:
+        video.release()
+    if count < 1:
+        raise ValueError(f"{path}: corrupt or empty video")
+    return Footage(path, tuple(range(count)), lambda positions: _frames(path, positions, count), fps=fps or DEFAULT_FPS)
+
+
+def _frames(path: Path, positions: Sequence[int], count: int) -> Iterator[Image]:
+    wanted = set(positions)
+    video = cv2.VideoCapture(str(path))
+    try:
+        for position in range(max(wanted, default=-1) + 1):
+            read = video.grab()  # decoding is the slow part, and only what is wanted needs it
+            image = video.retrieve()[1] if read and position in wanted else None
+            if not read or (position in wanted and image is None):
+                raise ValueError(f"{path}: corrupt or short video, frame {position} of {count} cannot be read")
+            if image is not None:
+                yield cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
+    finally:
+        video.release()
+
+
+# --- all cameras together -----------------------------------------------------------------------------
 @dataclass(frozen=True)
 class Recording:
     """A recording on disk: where each camera's frames are, and which instants there are.
@@ -78,14 +197,14 @@ class Recording:
     fps
         Frames a second: of the video, or ``fps`` in ``rig.yaml``, else 10.
     sources
-        For each camera its video, or its pictures in the order of ``frames``, ``None`` where it dropped out.
+        For each camera its pictures; those of a camera that dropped out have only some of the ``frames`` as ``numbers``.
     """
 
     path: Path
     rig: Rig
     frames: tuple[int, ...]
     fps: float
-    sources: dict[str, Path | tuple[Path | None, ...]]
+    sources: dict[str, Footage]
 
     def time(self, frame: int) -> float:
         """Seconds since frame 0."""
@@ -102,20 +221,22 @@ class Recording:
             raise ValueError(
                 f"frames: {unknown[0]} is not in {self.path.name}, which has {self.frames[0]} to {self.frames[-1]}"
             )
-        readers = {name: _reader(source, self.frames, wanted) for name, source in self.sources.items()}
+        own = {name: wanted & set(source.numbers) for name, source in self.sources.items()}
+        readers = {
+            name: source.read([i for i, number in enumerate(source.numbers) if number in own[name]])
+            for name, source in self.sources.items()
+        }
         for frame in self.frames:
             if frame in wanted:
-                read = {name: next(reader) for name, reader in readers.items()}
-                images = {name: image for name, image in read.items() if image is not None}
+                images = {name: next(reader) for name, reader in readers.items() if frame in own[name]}
                 for name, image in images.items():
                     check_size(image, self.rig[name].size, f"{self.path.name} frame {frame} of {name}")
                 yield frame, images
 
     def sample(self, count: int) -> dict[str, list[Image]]:
         """At most ``count`` frames of every camera, spread evenly over the recording; those it lacks are left out."""
-        index = np.unique(np.linspace(0, len(self.frames) - 1, min(count, len(self.frames))).round().astype(int))
         pictures: dict[str, list[Image]] = {name: [] for name in self.sources}
-        for _, images in self.images([self.frames[i] for i in index]):
+        for _, images in self.images([self.frames[i] for i in _spread(len(self.frames), count)]):
             for name, image in images.items():
                 pictures[name].append(image)
         return pictures
@@ -123,7 +244,7 @@ class Recording:
     @property
     def without_background(self) -> list[str]:
         """The cameras that have no picture of the empty floor."""
-        return [name for name in self.sources if not _pictures(self.path / "background" / name)]
+        return [name for name in self.sources if open_footage(self.path / "background" / name) is None]
 
     def background_images(self) -> dict[str, list[Image]]:
         """The pictures of the empty floor for each camera; a camera without any is left out."""
@@ -131,14 +252,23 @@ class Recording:
 
 
 def empty_floor_images(folder: str | Path, rig: Rig) -> dict[str, list[Image]]:
-    """The pictures ``folder/<camera>/*`` of the empty floor, uint8 RGB (H, W, 3); a camera without any is left out."""
+    """The empty floor in ``folder/<camera>``, pictures or a video: for each camera uint8 RGB (H, W, 3) images.
+
+    Of more than :data:`EMPTY_FRAMES` as many are read, spread evenly. A camera without any is left out.
+    """
     found: dict[str, list[Image]] = {}
     for name, camera in rig.cameras.items():
-        for path in _pictures(Path(folder) / name):
-            image = read_image(path)
-            check_size(image, camera.size, f"{path}")
-            found.setdefault(name, []).append(image)
+        if (source := open_footage(Path(folder) / name)) is not None:
+            positions = _spread(len(source.numbers), EMPTY_FRAMES)
+            found[name] = list(source.read(positions))
+            for i, image in zip(positions, found[name], strict=True):
+                check_size(image, camera.size, f"{source.files if isinstance(source.files, Path) else source.files[i]}")
     return found
+
+
+def _spread(length: int, count: int) -> list[int]:
+    """At most ``count`` of the positions 0 to ``length - 1``, spread evenly, the first and the last among them."""
+    return np.unique(np.linspace(0, length - 1, min(count, length)).round().astype(int)).tolist()
 
 
 def check_size(image: Image, size: tuple[int, int], what: str) -> None:
@@ -173,37 +303,20 @@ def open_recording(path: str | Path, cameras: Sequence[str] | None = None) -> Re
             raise ValueError(f"{path}: not fetched yet; first: occlib data fetch {path}")
         raise ValueError(f"{path}: no such recording folder ({lab_recordings()})")
     rig = Rig.load(folder / "rig.yaml").select(cameras)
-    sources: dict[str, Path | tuple[Path | None, ...]] = {}
-    numbers: dict[str, tuple[int, ...]] = {}
-    fps, named = read_yaml(folder / "rig.yaml").get("fps"), True
-    for name in rig.cameras:
-        pictures = _pictures(folder / "frames" / name)
-        video = next((p for s in VIDEO_SUFFIXES if (p := folder / "frames" / f"{name}{s}").is_file()), None)
-        if pictures:
-            sources[name], numbers[name] = tuple(pictures), _numbers(pictures)
-            named &= numbers[name] == tuple(_number(path) for path in pictures)
-        elif video is not None:
-            count, video_fps = _video_length(video)
-            sources[name], numbers[name], named = video, tuple(range(count)), False
-            fps = video_fps if fps is None else fps
-        else:
-            raise ValueError(f"{folder}: no frames for camera {name!r} (expected frames/{name}/*.png|jpg or .mp4|avi)")
-    if any(isinstance(source, Path) for source in sources.values()):  # a video has no names, so its index is the number
-        numbers = {name: tuple(range(len(frames))) for name, frames in numbers.items()}
-    most = max(numbers, key=lambda name: len(numbers[name]))
-    frames = numbers[most]
-    for name, own in numbers.items():
-        if own != frames and not (named and _has_gaps(own, frames)):
-            views = ", ".join(f"{each} has {_span(numbers[each])}" for each in numbers if each in (name, most))
+    sources = {name: _footage_of(folder, name) for name in rig.cameras}
+    if any(isinstance(source.files, Path) for source in sources.values()):  # in a video, the position is the number
+        sources = {n: replace(s, numbers=tuple(range(len(s.numbers)))) for n, s in sources.items()}
+    named = all(source.named for source in sources.values())
+    most = max(sources, key=lambda name: len(sources[name].numbers))
+    frames = sources[most].numbers
+    for name, source in sources.items():
+        if source.numbers != frames and not (named and _has_gaps(source.numbers, frames)):
+            views = ", ".join(f"{each} has {_span(sources[each].numbers)}" for each in sources if each in (name, most))
             raise ValueError(f"{folder}: views of different length or names: {views}")
-        source = sources[name]
-        if own != frames and isinstance(source, tuple):
-            paths = dict(zip(own, source, strict=True))
-            sources[name] = tuple(paths.get(frame) for frame in frames)
-    fps = DEFAULT_FPS if fps is None else fps
-    if not isinstance(fps, int | float) or isinstance(fps, bool) or not 1e-6 < fps < 1e6:
-        raise ValueError(f"{folder / 'rig.yaml'}: fps: expected frames a second > 0, got {repr(fps)[:40]}")
-    return Recording(folder, rig, frames, float(fps), sources)
+    said = [read_yaml(folder / "rig.yaml").get("fps"), *(source.fps for source in sources.values()), DEFAULT_FPS]
+    rate = next(fps for fps in said if fps is not None)
+    fps = checks.number(f"{folder / 'rig.yaml'}: fps", rate, least=1e-6, most=1e6, expected="frames a second > 0")
+    return Recording(folder, rig, frames, fps, sources)
 
 
 def lab_recordings() -> str:
@@ -240,26 +353,12 @@ def parse_frames(text: str, frames: Sequence[int]) -> list[int]:
     return chosen
 
 
-def _pictures(folder: Path) -> list[Path]:
-    if not folder.is_dir():
-        return []
-    return sorted(
-        (p for p in folder.iterdir() if p.suffix.lower() in IMAGE_SUFFIXES and not p.name.startswith(".")),
-        key=lambda p: (_number(p) is None, _number(p) or 0, p.name),
-    )
-
-
-def _number(path: Path) -> int | None:
-    digits = re.findall(r"\d+$", path.stem) or re.findall(r"\d+", path.stem)
-    return int(digits[0]) if len(digits) == 1 else None
-
-
-def _numbers(pictures: Sequence[Path]) -> tuple[int, ...]:
-    """Numbers in the names where each has one of its own, else the position in the sorted list."""
-    numbers = [_number(p) for p in pictures]
-    if None in numbers or len(set(numbers)) < len(numbers):
-        return tuple(range(len(pictures)))
-    return tuple(n for n in numbers if n is not None)
+def _footage_of(folder: Path, name: str) -> Footage:
+    found = open_footage(folder / "frames" / name)
+    if found is None:
+        expected = " or ".join(f"frames/{name}{pattern}" for pattern in FORMATS)
+        raise ValueError(f"{folder}: no frames for camera {name!r} (expected {expected})")
+    return found
 
 
 def _has_gaps(numbers: Sequence[int], whole: Sequence[int]) -> bool:
@@ -269,36 +368,6 @@ def _has_gaps(numbers: Sequence[int], whole: Sequence[int]) -> bool:
 
 def _span(numbers: Sequence[int]) -> str:
     return f"{len(numbers)} frames ({numbers[0]} to {numbers[-1]})" if numbers else "0 frames"
-
-
-def _video_length(path: Path) -> tuple[int, float]:
-    video = cv2.VideoCapture(str(path))
-    try:
-        count, fps = int(video.get(cv2.CAP_PROP_FRAME_COUNT)), float(video.get(cv2.CAP_PROP_FPS))
-    finally:
-        video.release()
-    if count < 1:
-        raise ValueError(f"{path}: corrupt or empty video")
-    return count, fps or DEFAULT_FPS
-
-
-def _reader(source: Path | tuple[Path | None, ...], frames: Sequence[int], wanted: set[int]) -> Iterator[Image | None]:
-    if isinstance(source, tuple):
-        yield from (
-            None if p is None else read_image(p) for frame, p in zip(frames, source, strict=True) if frame in wanted
-        )
-        return
-    video = cv2.VideoCapture(str(source))
-    try:
-        for frame in range(max(wanted, default=-1) + 1):
-            read = video.grab()  # decoding is the slow part, and only what is wanted needs it
-            image = video.retrieve()[1] if read and frame in wanted else None
-            if not read or (frame in wanted and image is None):
-                raise ValueError(f"{source}: corrupt or short video, frame {frame} of {len(frames)} cannot be read")
-            if image is not None:
-                yield cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
-    finally:
-        video.release()
 
 
 def cache_folder() -> Path:

@@ -13,8 +13,8 @@ from occlib.base.arrays import FloatArray, Image, Mask
 from occlib.geometry import Camera, Floor, apply_homography
 
 
-class _Warp:
-    """A look-up of a camera's images: what :class:`FloorWarp` and :class:`PolarWarp` do once they know the ``pixels``."""
+class ImageWarp:
+    """A look-up of a camera's images: what a subclass, such as :class:`FloorWarp`, does once it knows the ``pixels``."""
 
     camera: Camera
 
@@ -56,7 +56,7 @@ class _Warp:
 
 
 @dataclass(frozen=True)
-class FloorWarp(_Warp):
+class FloorWarp(ImageWarp):
     """Takes a camera's images to the floor map, or to a plane above it, lens distortion and homography in one look-up.
 
     Parameters
@@ -85,7 +85,7 @@ class FloorWarp(_Warp):
 
 def undistort(image: Image, camera: Camera) -> Image:
     """The image as a camera without lens distortion and with the same matrix would have taken it."""
-    return np.asarray(cv2.undistort(image, camera.matrix, camera.distortion))
+    return camera.lens.undistort_image(image)
 
 
 def view_homography(camera: Camera, floor: Floor) -> FloatArray:

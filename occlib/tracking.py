@@ -18,6 +18,7 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
+from occlib.base import checks
 from occlib.base.arrays import FloatArray
 
 Point: TypeAlias = tuple[float, float]
@@ -49,6 +50,8 @@ class Observation:
         Mean (r, g, b), each 0 to 255.
     label
         Name of the template that it matched, if any.
+    size_m2
+        Actual size by the look-up table of scale factors in m2, where one is used.
     hidden_in
         Names of the cameras in which something hides it.
     visible
@@ -59,6 +62,7 @@ class Observation:
     area_m2: float
     colour: Colour
     label: str | None = None
+    size_m2: float | None = None
     hidden_in: tuple[str, ...] = ()
     visible: Mapping[str, float] = field(default_factory=dict)
 
@@ -83,6 +87,8 @@ class ObjectVector:
         Name of the template that it matched last, or ``None`` if it never did.
     hidden_in
         Names of the cameras in which something hides it now.
+    size_m2
+        Actual size by the look-up table in m2 at this instant, where one is used and a view identifies the object.
     age
         Frames since it was first seen, 1 in the first.
     visible
@@ -99,9 +105,20 @@ class ObjectVector:
     colour: Colour
     label: str | None = None
     hidden_in: tuple[str, ...] = ()
+    size_m2: float | None = None
     age: int = 1
     visible: Mapping[str, float] = field(default_factory=dict)
     spread: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    @property
+    def x(self) -> float:
+        """First coordinate of the position in m."""
+        return self.position_m[0]
+
+    @property
+    def y(self) -> float:
+        """Second coordinate of the position in m."""
+        return self.position_m[1]
 
     @property
     def covariance(self) -> FloatArray:
@@ -115,7 +132,7 @@ class ObjectVector:
         >>> ObjectVector(1, (0.5, 1.0), (0.1, 0.0), 0.04, (200, 30, 30), hidden_in=("cam2",)).to_dict()
         ... # doctest: +NORMALIZE_WHITESPACE
         {'id': 1, 'x': 0.5, 'y': 1.0, 'vx': 0.1, 'vy': 0.0, 'area': 0.04, 'colour': [200, 30, 30],
-         'label': None, 'hidden_in': ['cam2']}
+         'label': None, 'hidden_in': ['cam2'], 'size': None}
         """
         (x, y), (vx, vy) = self.position_m, self.velocity_mps
         numbers = {"x": x, "y": y, "vx": vx, "vy": vy, "area": self.area_m2}
@@ -125,6 +142,7 @@ class ObjectVector:
             "colour": [int(c) for c in self.colour],
             "label": self.label,
             "hidden_in": list(self.hidden_in),
+            "size": None if self.size_m2 is None else round(float(self.size_m2), 4),
         }
 
 
@@ -140,13 +158,29 @@ class Event(NamedTuple):
 class _Track:
     """Kalman state of one object. x and y share one covariance, so it is three plain floats."""
 
-    __slots__ = ("area", "born", "colour", "id", "label", "pp", "pv", "since", "time", "vv", "vx", "vy", "x", "y")
+    __slots__ = (
+        "area",
+        "born",
+        "colour",
+        "id",
+        "label",
+        "pp",
+        "pv",
+        "since",
+        "size",
+        "time",
+        "vv",
+        "vx",
+        "vy",
+        "x",
+        "y",
+    )
 
     def __init__(self, seen: Observation, time: float, frame: int, noise_m: float) -> None:
         self.id, self.born, self.since, self.area = 0, frame, time, seen.area_m2
         (self.x, self.y), self.vx, self.vy = seen.position_m, 0.0, 0.0
         self.pp, self.pv, self.vv = noise_m**2, 0.0, _BIRTH_SPEED**2
-        self.time, self.colour, self.label = time, seen.colour, seen.label
+        self.time, self.colour, self.label, self.size = time, seen.colour, seen.label, seen.size_m2
 
     def predict(self, time: float) -> Point:
         """Position in m at ``time`` if the velocity stays; the state is left as it is."""
@@ -168,10 +202,12 @@ class _Track:
         self.vx, self.vy = self.vx + gain_v * (zx - x), self.vy + gain_v * (zy - y)
         self.pp, self.pv, self.vv = (1 - gain_p) * pp, (1 - gain_p) * pv, vv - gain_v * pv
         self.time, self.colour, self.label, self.area = time, seen.colour, seen.label or self.label, seen.area_m2
+        self.size = seen.size_m2
 
 
-class Tracker:
-    """Gives detections their identity and velocity, frame after frame.
+@dataclass(frozen=True)
+class TrackerSettings:
+    """Settings of :class:`Tracker`.
 
     Parameters
     ----------
@@ -194,6 +230,34 @@ class Tracker:
     position_noise_m, acceleration_mps2
         Standard deviations of a measured position and of an object's acceleration: a larger ratio gives a
         smoother, later velocity.
+    """
+
+    gate_m: float = 0.5
+    gate_growth_mps: float = 1.0
+    max_missed_s: float = 1.0
+    confirm_s: float = 0.0
+    jump_m: float = 0.25
+    colour_weight_m: float = 0.2
+    position_noise_m: float = 0.05
+    acceleration_mps2: float = 1.0
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            positive = name in ("gate_m", "position_noise_m")
+            checks.number(
+                name, value, above=0 if positive else None, least=None if positive else 0, unit="a finite number"
+            )
+
+
+class Tracker:
+    """Gives detections their identity and velocity, frame after frame.
+
+    Parameters
+    ----------
+    settings
+        Gate, patience and noise; the default ones for None.
+    **changes
+        Fields of :class:`TrackerSettings` that are to be different.
 
     Attributes
     ----------
@@ -212,27 +276,8 @@ class Tracker:
     (1, (0.1, 0.0), True)
     """
 
-    def __init__(
-        self,
-        *,
-        gate_m: float = 0.5,
-        gate_growth_mps: float = 1.0,
-        max_missed_s: float = 1.0,
-        confirm_s: float = 0.0,
-        jump_m: float = 0.25,
-        colour_weight_m: float = 0.2,
-        position_noise_m: float = 0.05,
-        acceleration_mps2: float = 1.0,
-    ) -> None:
-        for name, value in (("gate_m", gate_m), ("position_noise_m", position_noise_m)):
-            _check(name, value, positive=True)
-        self.gate_m, self.position_noise_m = gate_m, position_noise_m
-        self.gate_growth_mps = _check("gate_growth_mps", gate_growth_mps)
-        self.max_missed_s = _check("max_missed_s", max_missed_s)
-        self.confirm_s = _check("confirm_s", confirm_s)
-        self.jump_m = _check("jump_m", jump_m)
-        self.colour_weight_m = _check("colour_weight_m", colour_weight_m)
-        self.acceleration_mps2 = _check("acceleration_mps2", acceleration_mps2)
+    def __init__(self, settings: TrackerSettings | None = None, **changes: float) -> None:
+        self.settings = replace(settings or TrackerSettings(), **changes)
         self.events: list[Event] = []
         self.rejected = 0
         self._tracks: list[_Track] = []
@@ -272,13 +317,17 @@ class Tracker:
         for index, seen in enumerate(observations):
             track = assigned.get(index)
             if track is None:
-                track = _Track(seen, time, self._frame, self.position_noise_m)
+                track = _Track(seen, time, self._frame, self.settings.position_noise_m)
                 self._tracks.append(track)
             else:
-                track.update(seen, time, self.position_noise_m, self.acceleration_mps2)
+                track.update(seen, time, self.settings.position_noise_m, self.settings.acceleration_mps2)
+            if seen.label is not None:  # a known object is where it was recognised last
+                for other in self._tracks:
+                    if other is not track and other.label == seen.label:
+                        other.label = None
             if track.label is None and identify is not None and (label := identify(index)):
                 self._name(track, label, time, set(assigned.values()))
-            if track.id == 0 and (anew or time - track.since >= self.confirm_s - 1e-9):
+            if track.id == 0 and (anew or time - track.since >= self.settings.confirm_s - 1e-9):
                 self._confirm(track, time, anew)
             vectors.append(self._vector(track, time, seen))
         return vectors
@@ -298,10 +347,12 @@ class Tracker:
         if not (observations and self._tracks):
             return {}
         costs = [[_FORBIDDEN] * len(self._tracks) for _ in observations]
-        weight = self.colour_weight_m / _COLOUR_RANGE
+        weight = self.settings.colour_weight_m / _COLOUR_RANGE
         for column, track in enumerate(self._tracks):
             predicted = track.predict(time)
-            gate = self.gate_m + self.gate_growth_mps * min(time - track.time, self.max_missed_s)
+            gate = self.settings.gate_m + self.settings.gate_growth_mps * min(
+                time - track.time, self.settings.max_missed_s
+            )
             for row, seen in enumerate(observations):
                 distance = math.dist(predicted, seen.position_m)
                 if distance < gate:
@@ -316,9 +367,9 @@ class Tracker:
         again = [
             track
             for index, track in assigned.items()
-            if track in known and math.dist(track.predict(time), observations[index].position_m) < self.jump_m
+            if track in known and math.dist(track.predict(time), observations[index].position_m) < self.settings.jump_m
         ]
-        return time - self._time > self.max_missed_s or 2 * len(again) <= len(known)
+        return time - self._time > self.settings.max_missed_s or 2 * len(again) <= len(known)
 
     def _name(self, track: _Track, label: str, time: float, seen: set[_Track]) -> None:
         """Label a track, unless another has that label; one that only coasts gives it up to a candidate, with its id."""
@@ -347,7 +398,7 @@ class Tracker:
 
     def _retire(self, seen: set[_Track], time: float) -> None:
         """Drop the tracks that are unseen for too long, and candidates at once."""
-        gone = [t for t in self._tracks if t not in seen and (t.id == 0 or time - t.time > self.max_missed_s)]
+        gone = [t for t in self._tracks if t not in seen and (t.id == 0 or time - t.time > self.settings.max_missed_s)]
         for track in gone:
             if track.id:
                 self._leave(track, time, f"unseen for {time - track.time:.2g} s")
@@ -365,14 +416,15 @@ class Tracker:
             colour=track.colour,
             label=track.label,
             age=self._frame - track.born + 1,
-            spread=track.spread(time, self.acceleration_mps2),
+            spread=track.spread(time, self.settings.acceleration_mps2),
+            size_m2=track.size,
         )
         if seen is None:
             return vector
-        return replace(vector, position_m=seen.position_m, hidden_in=seen.hidden_in, visible=seen.visible)
-
-
-def _check(name: str, value: float, *, positive: bool = False) -> float:
-    if not (math.isfinite(value) and (value > 0 if positive else value >= 0)):
-        raise ValueError(f"{name}: expected a finite number {'> 0' if positive else '>= 0'}, got {value}")
-    return value
+        return replace(
+            vector,
+            position_m=seen.position_m,
+            size_m2=seen.size_m2,
+            hidden_in=seen.hidden_in,
+            visible=seen.visible,
+        )

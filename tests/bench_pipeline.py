@@ -78,7 +78,7 @@ def rules() -> None:
     recording = open_recording("four_robots", ["left", "right"])
     backgrounds = backgrounds_of(recording)
     instants = [images for _, images in recording.images(FRAMES)]
-    best = PROFILES["recommended"].rule
+    best = PROFILES["recommended"].finder.rule
     pipelines = [Pipeline(recording.rig, backgrounds, settings_for(rule=rule)) for rule in (best, "and")]
     times = median_ms(*(playing(pipeline, instants) for pipeline in pipelines), repeats=150)
     table = pd.DataFrame({"pipeline (ms)": times}, index=[f"rule {best}", "rule and"])

@@ -7,6 +7,7 @@ Files are written with OpenCV alone, so that a wrong channel order or layout in 
 from __future__ import annotations
 
 import json
+import signal
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -17,11 +18,33 @@ import cv2
 import numpy as np
 import pytest
 
+from occlib.foreground.background import Background
 from occlib.geometry import Camera, Floor, Rig
+from occlib.lens import Lens
+from occlib.pipeline import backgrounds_of
+from occlib.recordings import open_recording
 
+pytest.register_assert_rewrite("helpers")
 collect_ignore_glob = ["bench_*.py"]  # scripts, without tests
+if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
+    # As in `nohup make test &`. Whatever is ignored is so in child processes, too, and tests interrupt theirs; a handler,
+    # even one that does nothing, is not inherited.
+    signal.signal(signal.SIGINT, lambda *_: None)
 SHARED = Path(__file__).parents[2] / "shared/data"
 SIZE, FLOOR_GREY = (160, 120), (170, 170, 170)
+
+
+ONCE = ("finished", "outcomes", "real_room", "scheduler")
+"""Fixtures that take seconds. Tests that share one run in the same process, so that it is made once; so do those of the group
+``alone``, whose clocks, signals and ports should not meet."""
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """The slow tests first, so that no core waits for the last of them."""
+    items.sort(key=lambda item: item.get_closest_marker("slow") is None)
+    for item in items:
+        for fixture in set(ONCE).intersection(getattr(item, "fixturenames", ())):
+            item.add_marker(pytest.mark.xdist_group(fixture))
 
 
 @dataclass(frozen=True)
@@ -55,7 +78,8 @@ def camera_at(name: str, centre: Sequence[float], target: Sequence[float]) -> Ca
     right /= np.linalg.norm(right)
     rotation = np.stack([right, np.cross(forward, right), forward])
     matrix = np.array([[105.0, 0, 80.5], [0, 104.0, 59.0], [0, 0, 1]])
-    return Camera.from_pose(name, SIZE, matrix, [-0.2, 0.04, 0.001, -0.001, 0.0], rotation, -rotation @ centre)
+    lens = Lens(matrix, np.array([-0.2, 0.04, 0.001, -0.001, 0.0]))
+    return Camera.from_pose(name, SIZE, lens, rotation, -rotation @ centre)
 
 
 @pytest.fixture(scope="session")
@@ -79,7 +103,7 @@ def draw(tiny_rig: Rig) -> Draw:
     """``draw(boxes) -> {camera: uint8 RGB}``: every pixel whose ray meets a box has its colour; later boxes on top."""
     xs, ys = np.meshgrid(np.arange(SIZE[0]), np.arange(SIZE[1]))
     pixels = np.column_stack([xs.ravel(), ys.ravel()])
-    rays = {name: camera.undistort_points(pixels) for name, camera in tiny_rig.cameras.items()}
+    rays = {name: camera.lens.undistort(pixels) for name, camera in tiny_rig.cameras.items()}
 
     def views(boxes: Sequence[Box]) -> dict[str, np.ndarray[Any, Any]]:
         images = {}
@@ -131,6 +155,12 @@ def shared_data() -> Callable[[str], Path]:
         return SHARED / name
 
     return find
+
+
+@pytest.fixture(scope="session")
+def real_room(shared_data: Callable[[str], Path]) -> dict[str, Background]:
+    """The backgrounds of ``ufes-lab``, learned for each of its four cameras from frames that are never empty."""
+    return backgrounds_of(open_recording(shared_data("ufes-lab")))
 
 
 @pytest.fixture

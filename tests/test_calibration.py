@@ -10,12 +10,11 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from occlib import calibration
 from occlib.base.files import write_image
-from occlib.geometry import Camera, Rig, apply_homography
+from occlib.geometry import Camera
+from occlib.lens import Lens
 
 SHARED = Path(__file__).parents[2] / "shared/data"
 BOARDS, UFES = SHARED / "opencv-checkerboard", SHARED / "ufes-lab"
@@ -41,11 +40,11 @@ def seen(points: np.ndarray[Any, Any], turn: np.ndarray[Any, Any], shift: np.nda
     """Raw px of world points: pinhole, then Brown-Conrady, written out without cv2."""
     xyz = points @ turn.T + shift
     assert (xyz[:, 2] > 0).all()
-    return lens().distort_points(xyz[:, :2] / xyz[:, 2:] * MATRIX[[0, 1], [0, 1]] + MATRIX[:2, 2])
+    return lens().lens.distort(xyz[:, :2] / xyz[:, 2:] * MATRIX[[0, 1], [0, 1]] + MATRIX[:2, 2])
 
 
 def lens() -> Camera:
-    return Camera("planted", SIZE, MATRIX, DISTORTION, np.eye(3))
+    return Camera("planted", SIZE, Lens(MATRIX, DISTORTION), np.eye(3))
 
 
 def planted_views(count: int = 12) -> list[np.ndarray[Any, Any]]:
@@ -137,7 +136,7 @@ def test_wrong_images_and_marks() -> None:
         calibration.refine_corners(grey, [[10, 10], [400, 5]])
     with pytest.raises(ValueError, match="marks_px: expected points in the 320x240 image"):
         calibration.refine_corners(grey, [[np.nan, 10]])
-    with pytest.raises(ValueError, match="window_px: expected a half side >= 1 px, got 0"):
+    with pytest.raises(ValueError, match="window_px: expected half a side in px >= 1, got 0"):
         calibration.refine_corners(grey, [[10, 10]], window_px=0)
     with pytest.raises(ValueError, match="image: expected at least 15 px a side, got 9x9"):
         calibration.refine_corners(grey[:9, :9], [[3, 3]])
@@ -226,133 +225,19 @@ def test_real_photographs_reach_opencvs_own_reference(tmp_path: Path) -> None:
     assert found.images_skipped == ("blank.png",)
 
 
-# --- the floor -------------------------------------------------------------------------------------
-def planted_pose(height: float = 2.5) -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any]]:
-    """A camera ``height`` m over the floor at (0.3, -1.5) that looks forward and down."""
-    turn = rotation(0.0, 0.0, 0.2).T @ rotation(np.pi / 2 + 0.9, 0.0, 0.0)
-    return turn, -turn @ np.array([0.3, -1.5, height])
-
-
-def planted_marks(count: int = 9) -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any]]:
-    floor = np.random.default_rng(11).uniform([-0.7, -0.5], [1.0, 1.0], (count, 2))
-    return seen(np.column_stack([floor, np.zeros(count)]), *planted_pose()), floor
-
-
-def planted_homography() -> np.ndarray[Any, Any]:
-    turn, shift = planted_pose()
-    homography = np.linalg.inv(MATRIX @ np.column_stack([turn[:, 0], turn[:, 1], shift]))
-    return homography / homography[2, 2]
-
-
-def test_planted_floor_homography_is_recovered_from_marks() -> None:
-    pixels, floor = planted_marks()
-    before = pixels.copy(), floor.copy()
-    fit = calibration.floor_homography_from_marks(lens(), pixels, floor)
-    assert np.abs(fit.image_to_floor - planted_homography()).max() < 1e-6
-    assert fit.leave_one_out_m is not None
-    assert max(fit.error_m.max(), fit.leave_one_out_m.max()) < 1e-6 and fit.error_px.max() < 1e-5
-    assert np.array_equal(before[0], pixels) and np.array_equal(before[1], floor)
-
-
-def test_four_marks_fit_exactly_and_leave_none_to_check_with() -> None:
-    floor = np.array([[-0.5, -0.4], [0.9, -0.4], [0.8, 0.9], [-0.6, 0.7]])
-    pixels = seen(np.column_stack([floor, np.zeros(4)]), *planted_pose())
-    fit = calibration.floor_homography_from_marks(lens(), pixels, floor)
-    assert np.abs(fit.image_to_floor - planted_homography()).max() < 1e-6 and fit.leave_one_out_m is None
-
-
-def test_one_bad_mark_stands_out_when_left_out() -> None:
-    pixels, floor = planted_marks()
-    pixels[4] += [6.0, 0.0]
-    fit = calibration.floor_homography_from_marks(lens(), pixels, floor)
-    assert fit.leave_one_out_m is not None
-    assert int(np.argmax(fit.leave_one_out_m)) == 4
-    assert fit.leave_one_out_m[4] > 1.5 * fit.error_m[4] > 0
-
-
-def test_homography_has_the_least_squares_in_px() -> None:
-    pixels, floor = planted_marks()
-    pixels = pixels + np.random.default_rng(4).normal(0, 2, pixels.shape)
-    fit = calibration.floor_homography_from_marks(lens(), pixels, floor)
-    ideal, best = lens().undistort_points(pixels), np.linalg.inv(fit.image_to_floor)
-    assert np.linalg.norm(apply_homography(best, floor) - ideal, axis=1) == pytest.approx(fit.error_px)
-    for index in np.ndindex(3, 3):
-        for step in (-1e-3, 1e-3):
-            other = best.copy()
-            other[index] *= 1 + step
-            worse = np.linalg.norm(apply_homography(other, floor) - ideal, axis=1)
-            assert (worse**2).sum() > (fit.error_px**2).sum() * (1 + 1e-9)
-
-
-def test_board_on_the_floor_is_seen_in_the_order_in_which_it_is_found() -> None:
-    floor = calibration.board_on_floor(PATTERN, 0.05, (0.0, 0.0), 0.3)
-    assert floor[8] == pytest.approx([0.4 * np.cos(0.3), 0.4 * np.sin(0.3)])
-    pixels = seen(np.column_stack([floor, np.zeros(54)]), *planted_pose())
-    along, across = pixels[8] - pixels[0], pixels[45] - pixels[0]
-    assert along[0] * across[1] - along[1] * across[0] > 0  # the next row is to the right, as in find_checkerboard
-
-
-@settings(max_examples=25, deadline=None)
-@given(st.floats(-0.6, 0.6), st.floats(-0.3, 0.3), st.floats(-3, 3))
-def test_board_on_the_floor_gives_pose_and_homography(x: float, y: float, angle: float) -> None:
-    turn, shift = planted_pose()
-    floor = calibration.board_on_floor(PATTERN, 0.05, (x, y), angle)
-    pixels = seen(np.column_stack([floor, np.zeros(len(floor))]), turn, shift)
-    found_turn, found_shift = calibration.solve_floor_pose(lens(), pixels, floor)
-    assert np.abs(found_turn - turn).max() < 1e-5 and np.abs(found_shift - shift).max() < 1e-5
-    homography = calibration.floor_homography_from_pose(lens(), found_turn, found_shift)
-    assert apply_homography(homography, lens().undistort_points(pixels)) == pytest.approx(floor, abs=1e-6)
-    errors = calibration.reprojection_error(lens(), turn, shift, np.column_stack([floor, np.zeros(54)]), pixels)
-    assert errors.max() < 1e-9
-
-
 def test_reprojection_error_is_the_distance_in_px() -> None:
-    turn, shift = planted_pose()
-    pixels, floor = planted_marks()
-    points = np.column_stack([floor, np.zeros(len(floor))])
+    turn, shift = rotation(0.1, -0.2, 0.3), np.array([0.1, 0.0, 0.5])
+    points = np.random.default_rng(11).uniform([-0.7, -0.5, 2], [1.0, 1.0, 3], (9, 3))
+    pixels = seen(points, turn, shift)
+    assert calibration.reprojection_error(lens(), turn, shift, points, pixels).max() < 1e-9
     assert calibration.reprojection_error(lens(), turn, shift, points, pixels + np.array([3, 4])) == pytest.approx(5.0)
-
-
-def test_mirrored_points_are_refused() -> None:
-    pixels, floor = planted_marks()
-    with pytest.raises(ValueError, match="under the floor; the points are mirrored"):
-        calibration.solve_floor_pose(lens(), pixels, floor * [1, -1])
-
-
-def test_marks_that_do_not_fix_the_floor() -> None:
-    pixels, floor = planted_marks()
-    line = np.column_stack([np.linspace(-0.5, 0.8, 6), np.linspace(-0.2, 0.8, 6)])
-    cases: list[tuple[Any, Any, str]] = [
-        (pixels[:3], floor[:3], "expected 4 or more finite pairs, got 3 and 3"),
-        (pixels, floor[:5], "expected 4 or more finite pairs, got 9 and 5"),
-        (pixels * np.nan, floor, "expected 4 or more finite pairs"),
-        (seen(np.column_stack([line, np.zeros(6)]), *planted_pose()), line, "do not fix a homography"),
-        (np.tile(pixels[:1], (5, 1)), np.tile(floor[:1], (5, 1)), "do not fix a homography"),
-    ]
-    for raw, metres, message in cases:
-        with pytest.raises(ValueError, match=message):
-            calibration.floor_homography_from_marks(lens(), raw, metres)
-    with pytest.raises(ValueError, match="pixels, floor_m: expected 4 or more pairs, got 3 and 3"):
-        calibration.solve_floor_pose(lens(), pixels[:3], floor[:3])
-    with pytest.raises(ValueError, match="pixels: expected 2 points like points_m, got 3"):
-        calibration.reprojection_error(lens(), *planted_pose(), np.zeros((2, 3)), pixels[:3])
-
-
-@needs_ufes
-def test_real_floor_marks_are_within_a_centimetre() -> None:
-    rig, marks = Rig.load(UFES / "rig.yaml"), calibration.load_marks(UFES / "floor_marks.yaml")
-    assert sorted(marks) == sorted(rig.cameras)
-    for name, (pixels, floor) in marks.items():
-        fit = calibration.floor_homography_from_marks(rig[name], pixels, floor)
-        assert fit.leave_one_out_m is not None and np.median(fit.leave_one_out_m) < 0.011
-        ideal = rig[name].undistort_points(pixels)
-        shipped = apply_homography(rig[name].image_to_floor, ideal)
-        assert np.abs(apply_homography(fit.image_to_floor, ideal) - shipped).max() < 0.015
+    with pytest.raises(ValueError, match="pixels: expected 2 points like points_m, got 9"):
+        calibration.reprojection_error(lens(), turn, shift, points[:2], pixels)
 
 
 # --- files -----------------------------------------------------------------------------------------
 def planted_calibration() -> calibration.Calibration:
-    return calibration.Calibration(SIZE, MATRIX, DISTORTION, 0.25, 13)
+    return calibration.Calibration(SIZE, Lens(MATRIX, DISTORTION), 0.25, 13)
 
 
 def test_calibration_reads_back(tmp_path: Path) -> None:
@@ -361,8 +246,8 @@ def test_calibration_reads_back(tmp_path: Path) -> None:
     found = calibration.load_calibration(path)
     assert (found.size, found.rms_px, found.views_used) == (SIZE, 0.25, 13)
     assert np.array_equal(found.matrix, MATRIX) and np.array_equal(found.distortion, DISTORTION)
-    camera = found.camera("left", planted_homography())
-    assert camera.floor_to_pixels(planted_marks()[1]) == pytest.approx(planted_marks()[0], abs=1e-6)
+    camera = found.camera("left", np.eye(3))
+    assert (camera.name, camera.size, camera.lens) == ("left", SIZE, found.lens)
     with pytest.raises(ValueError, match="image_to_floor: expected an invertible 3x3"):
         found.camera("left", np.zeros((3, 3)))
 
@@ -393,13 +278,3 @@ def test_other_files_are_one_line_errors(tmp_path: Path) -> None:
     path.write_text("- 1")
     with pytest.raises(ValueError, match=r"camera.yaml: expected a mapping with 'size'"):
         calibration.load_calibration(path)
-    with pytest.raises(ValueError, match=r"camera.yaml: expected a mapping 'marks' of cameras"):
-        calibration.load_marks(path)
-    for content in (
-        "marks: {left: [{pixel: [1, 2]}]}",
-        "marks: {left: 5}",
-        "marks: {left: [{pixel: [1], floor: [1, 2]}]}",
-    ):
-        path.write_text(content)
-        with pytest.raises(ValueError, match=r"camera.yaml: marks.left: expected a list of"):
-            calibration.load_marks(path)

@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 
 from occlib.base.arrays import as_points
 from occlib.geometry import Camera, Floor, Rig, apply_homography, invert_homography
+from occlib.lens import Lens
 
 Array = np.ndarray[Any, Any]
 SIZE = (640, 480)
@@ -41,7 +42,7 @@ def camera(
     distortion: Array = STRONG,
 ) -> Camera:
     rotation = looking_down(centre, target, roll)
-    return Camera.from_pose("cam", SIZE, MATRIX, distortion, rotation, -rotation @ np.array(centre))
+    return Camera.from_pose("cam", SIZE, Lens(MATRIX, distortion), rotation, -rotation @ np.array(centre))
 
 
 def sensor(step: int = 20) -> Array:
@@ -91,8 +92,8 @@ def test_points_of_the_wrong_shape() -> None:
 # --- cameras ---------------------------------------------------------------------------------------
 def test_strong_distortion_round_trips_both_ways() -> None:
     cam, pixels = camera(), sensor()
-    assert np.abs(cam.distort_points(cam.undistort_points(pixels)) - pixels).max() < 1e-4
-    assert np.abs(cam.undistort_points(pixels) - pixels).max() > 50  # or there was nothing to undo
+    assert np.abs(cam.lens.distort(cam.lens.undistort(pixels)) - pixels).max() < 1e-4
+    assert np.abs(cam.lens.undistort(pixels) - pixels).max() > 50  # or there was nothing to undo
     floor = cam.pixels_to_floor(pixels)
     below = (np.abs(floor) < 20).all(axis=1) & np.isfinite(cam.floor_to_pixels(floor)).all(axis=1)
     assert below.sum() > 300
@@ -131,7 +132,7 @@ def test_pose_from_homography_is_the_given_pose(
 ) -> None:
     given_pose = looking_down(centre, target, roll)
     cam = camera(centre, target, roll)
-    by_homography = Camera("cam", SIZE, MATRIX, STRONG, scale * cam.image_to_floor)
+    by_homography = Camera("cam", SIZE, cam.lens, scale * cam.image_to_floor)
     rotation, translation = by_homography.pose
     assert np.abs(rotation - given_pose).max() < 1e-6
     assert np.abs(translation + given_pose @ centre).max() < 1e-6
@@ -171,7 +172,7 @@ def test_inside_has_its_edges_half_a_pixel_out() -> None:
 
 def test_no_points_give_no_points() -> None:
     cam = camera()
-    for method in (cam.undistort_points, cam.distort_points, cam.floor_to_pixels, cam.pixels_to_floor):
+    for method in (cam.lens.undistort, cam.lens.distort, cam.floor_to_pixels, cam.pixels_to_floor):
         assert method([]).shape == (0, 2)
     assert cam.project([]).shape == (0, 2)
 
@@ -180,7 +181,7 @@ def test_inputs_stay_as_they_were() -> None:
     cam = camera()
     pixels, floor, world = sensor(), np.array([[1.0, 1.0], [-30.0, 0.5]]), np.array([[1.0, 1.0, 0.5], [-30.0, 0, 0]])
     copies = pixels.copy(), floor.copy(), world.copy()
-    cam.undistort_points(pixels), cam.distort_points(pixels), cam.pixels_to_floor(pixels)
+    cam.lens.undistort(pixels), cam.lens.distort(pixels), cam.pixels_to_floor(pixels)
     cam.floor_to_pixels(floor), cam.project(world)
     for array, copy in zip((pixels, floor, world), copies, strict=True):
         assert np.array_equal(array, copy)
@@ -189,7 +190,25 @@ def test_inputs_stay_as_they_were() -> None:
 @pytest.mark.parametrize("rotation", [np.eye(3) * 2, np.diag([1.0, 1.0, -1.0]), np.zeros((3, 3)), np.eye(2)])
 def test_a_rotation_that_is_none(rotation: Array) -> None:
     with pytest.raises(ValueError, match="cam: rotation: expected an orthonormal 3x3 matrix"):
-        Camera.from_pose("cam", SIZE, MATRIX, STRONG, rotation, [0, 0, 3])
+        Camera.from_pose("cam", SIZE, Lens(MATRIX, STRONG), rotation, [0, 0, 3])
+
+
+def test_rays_through_pixels_meet_the_points_seen_there() -> None:
+    cam = camera(roll=0.2)
+    world = np.array([[1.0, 0.5, 0.3], [2.5, 1.5, 0.0], [0.8, 1.0, 1.2]])
+    rays = cam.rays(cam.project(world))
+    along = np.linalg.norm(world - cam.centre_m, axis=1) / np.linalg.norm(rays, axis=1)
+    assert np.abs(cam.centre_m + along[:, None] * rays - world).max() < 1e-5
+    assert rays @ cam.pose[0][2] == pytest.approx(1)  # 1 m along the optical axis
+
+
+def test_rays_through_all_pixels_in_the_pictures_layout() -> None:
+    cam = camera()
+    centres, rays = cam.pixel_centres(), cam.rays()
+    assert centres.shape == (480, 640, 2) and rays.shape == (480, 640, 3)
+    assert centres[7, 31].tolist() == [31, 7]
+    assert np.abs(rays[7, 31] - cam.rays([[31, 7]])[0]).max() < 1e-12
+    assert cam.rays((31.0, 7.0)).shape == (3,) and cam.rays(np.empty((0, 2))).shape == (0, 3)
 
 
 # --- the floor -------------------------------------------------------------------------------------
@@ -205,6 +224,21 @@ def test_floor_shape_extent_and_cells() -> None:
     assert centres[1] == pytest.approx([-0.925, 0.525])  # row-major: x runs first
     assert centres[-1] == pytest.approx([2.975, 3.475])
     assert np.abs(floor.cells(centres)[:, 0].reshape(60, 80) - np.arange(80)).max() < 1e-9
+
+
+def test_cells_to_metres_and_back() -> None:
+    floor = Floor((-1.0, 3.0), (0.5, 3.5), 0.05)
+    assert floor.points((0, 0)) == pytest.approx([-0.975, 0.525])
+    assert floor.points([]).shape == (0, 2)
+    cells = np.random.default_rng(0).uniform(-5, 90, (4, 7, 2))
+    points = floor.points(cells)
+    assert points.shape == (4, 7, 2)
+    assert np.abs(floor.cells(points.reshape(-1, 2)) - cells.reshape(-1, 2)).max() < 1e-9
+    iy, ix = np.mgrid[:60, :80]
+    centres = floor.points(np.stack([ix, iy], axis=-1)).reshape(-1, 2)
+    assert np.abs(centres - floor.cell_centres_m()).max() < 1e-12
+    with pytest.raises(ValueError, match=r"cells: expected shape \(..., 2\), got \(3,\)"):
+        floor.points((1, 2, 3))
 
 
 def test_floor_that_is_no_multiple_of_the_resolution() -> None:
@@ -353,7 +387,7 @@ NAN, INF = float("nan"), float("inf")
         (damage("floor", "y", to=[0, NAN]), "floor.y: expected 2 finite numbers"),
         (damage("floor", "resolution"), "floor.resolution: expected a finite number, got None"),
         (damage("floor", "resolution", to=[0.1]), "floor.resolution: expected a finite number"),
-        (damage("floor", "resolution", to="fine"), "floor.resolution: expected a finite number, got fine"),
+        (damage("floor", "resolution", to="fine"), "floor.resolution: expected a finite number, got 'fine'"),
         (damage(*LEFT, to="left"), "cameras.left: expected a mapping"),
         (damage(*LEFT, "size"), "cameras.left.size: expected 2 finite numbers, got None"),
         (damage(*LEFT, "size", to=[160.5, 120]), r"cameras.left.size: expected \[width, height\] in px, got \[160.5"),
@@ -441,9 +475,9 @@ def marked_camera(seed: int, noise_px: float) -> tuple[Camera, Camera]:
     cam = camera(roll=0.05)
     rng = np.random.default_rng(seed)
     marks = np.array([[x, y] for x in (0.8, 1.5, 2.2, 3.0) for y in (0.2, 1.0, 1.8)])
-    ideal = cam.undistort_points(cam.floor_to_pixels(marks)) + rng.normal(0, noise_px, marks.shape)
+    ideal = cam.lens.undistort(cam.floor_to_pixels(marks)) + rng.normal(0, noise_px, marks.shape)
     homography = cv2.findHomography(ideal, marks)[0]
-    return cam, Camera("cam", SIZE, MATRIX, STRONG, np.asarray(homography, float))
+    return cam, Camera("cam", SIZE, cam.lens, np.asarray(homography, float))
 
 
 @pytest.mark.parametrize("noise_px", [0.3, 1.0, 3.0])
@@ -479,7 +513,7 @@ def test_an_exact_homography_keeps_its_exact_pose(
 def test_pixels_beyond_the_fold_of_the_distortion_have_no_say_in_the_pose() -> None:
     strong = np.array([-0.55, 0.0, 0, 0, 0])  # folds back within the picture's corners
     cam = camera(distortion=strong)
-    outer = sensor()[np.abs(cam.distort_points(cam.undistort_points(sensor())) - sensor()).max(axis=1) > 0.1]
+    outer = sensor()[np.abs(cam.lens.distort(cam.lens.undistort(sensor())) - sensor()).max(axis=1) > 0.1]
     assert len(outer)
     assert np.abs(cam.centre_m - [-1.0, 0.5, 2.5]).max() < 1e-6
 

@@ -14,6 +14,7 @@ from scipy.signal import find_peaks
 from skimage.measure import regionprops
 
 from occlib.geometry import Camera, Rig
+from occlib.lens import Lens
 from occlib.localization import Region, ScaleTable, contour, contour_polar, find_regions, scale_table, split_regions
 
 Array = np.ndarray[Any, Any]
@@ -300,7 +301,7 @@ def test_a_pixel_far_away_covers_more_floor_than_one_close_by(tiny_rig: Rig) -> 
 def test_above_the_horizon_there_is_no_scale(tiny_rig: Rig) -> None:
     left = tiny_rig["left"]
     level = np.array([[0.0, -1, 0], [0, 0, -1], [1, 0, 0]])  # looks along +x: the horizon is in the middle
-    camera = Camera.from_pose("level", left.size, left.matrix, np.zeros(5), level, -level @ [0.0, 0.0, 1.5])
+    camera = Camera.from_pose("level", left.size, Lens(left.matrix, np.zeros(5)), level, -level @ [0.0, 0.0, 1.5])
     factors = scale_table(camera, cell_px=10).factors
     assert np.isnan(factors[:5]).all()
     assert (factors[7:] > 0).all()

@@ -1,11 +1,10 @@
-"""Scores: planted matches, bounds, the naive reference, and every malformed file named in one line."""
+"""Scores: planted matches, bounds, the naive reference, and wrong arguments named in one line."""
 
 from __future__ import annotations
 
 import copy
 import json
 import math
-from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -15,28 +14,43 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from occlib import formats, metrics
+from occlib.formats import DetectedObject, TrueObject, Truth
 from occlib.geometry import Floor
 from occlib.metrics import (
     evaluate,
     evaluate_hidden,
     foreground_scores,
-    free_space_blocked,
-    ghost_lifetimes,
     inside_polygon,
     match_points,
-    match_points_naive,
 )
+from occlib.tracking import ObjectVector
 
 UFES = Path(__file__).parents[2] / "shared/data" / "ufes-lab"
 SQUARE: list[list[float]] = [[0, 0], [1, 0], [1, 1], [0, 1]]
 POINTS = st.lists(st.tuples(st.floats(-1, 1), st.floats(-1, 1)), max_size=4)
 
 
-def truth_of(*frames: list[tuple[float, float]]) -> dict[str, Any]:
-    return {"units": "m", "frames": {str(i): [{"x": x, "y": y} for x, y in f] for i, f in enumerate(frames)}}
+def truth_of(*frames: list[tuple[float, float]], roi: dict[str, Any] | None = None) -> Truth:
+    return Truth({i: [TrueObject(x=x, y=y) for x, y in places] for i, places in enumerate(frames)}, roi or {})
 
 
 # --- matching --------------------------------------------------------------------------------------
+def match_points_naive(detected: Any, true: Any, radius: float) -> list[tuple[int, int, float]]:
+    """The same as :func:`match_points` by trying every assignment; only for a handful of points."""
+    distance = [[math.dist(a, b) for b in true] for a in detected]
+
+    def best(i: int, free: frozenset[int]) -> list[tuple[int, int, float]]:
+        if i == len(distance):
+            return []
+        options = [best(i + 1, free)]
+        for j in sorted(free):
+            if distance[i][j] < radius:
+                options.append([(i, j, distance[i][j]), *best(i + 1, free - {j})])
+        return min(options, key=lambda pairs: (-len(pairs), sum(d for _, _, d in pairs)))
+
+    return best(0, frozenset(range(len(true))))
+
+
 @settings(max_examples=200, deadline=None)
 @given(POINTS, POINTS)
 def test_matching_agrees_with_brute_force(detected: list[tuple[float, float]], true: list[tuple[float, float]]) -> None:
@@ -95,7 +109,7 @@ def test_undefined_scores_are_none_and_json_has_no_nan() -> None:
 
 
 def test_roi_keeps_truth_and_detections_inside_only() -> None:
-    truth = {**truth_of([(0.5, 0.5), (3, 3)]), "roi": {"square": SQUARE}}
+    truth = truth_of([(0.5, 0.5), (3, 3)], roi={"square": SQUARE})
     score = evaluate({0: [[0.5, 0.6], [2, 2]]}, truth, roi="square")
     assert (score.tp, score.fp, score.fn) == (1, 0, 0)
     assert evaluate({0: [[0.5, 0.6], [2, 2]]}, truth).fp == 1
@@ -118,22 +132,22 @@ def test_inside_agrees_with_the_analytic_l_shape(x: float, y: float) -> None:
 
 
 def test_id_switches_are_counted_over_gaps() -> None:
-    truth = {"frames": {str(i): [{"id": "A", "x": 0, "y": 0}] for i in range(4)}}
-    seen = {i: [{"id": n, "x": 0, "y": 0}] for i, n in ((0, 1), (1, 1), (3, 2))}
+    truth = Truth({i: [TrueObject(id="A", x=0, y=0)] for i in range(4)})
+    seen = {i: [DetectedObject(id=n, x=0, y=0)] for i, n in ((0, 1), (1, 1), (3, 2))}
     assert evaluate(seen, truth).id_switches == 1
     assert evaluate({0: [[0, 0]]}, truth).id_switches is None
 
 
 def test_recall_by_hidden_fraction_uses_the_worst_view() -> None:
-    truth = {
-        "frames": {
-            "0": [
-                {"x": 0, "y": 0, "hidden_fraction": {"left": 1.0, "right": 0.1}},
-                {"x": 2, "y": 0, "hidden_fraction": {"left": 0.5}},
-                {"x": 4, "y": 0},
+    truth = Truth(
+        {
+            0: [
+                TrueObject(x=0, y=0, hidden_fraction={"left": 1.0, "right": 0.1}),
+                TrueObject(x=2, y=0, hidden_fraction={"left": 0.5}),
+                TrueObject(x=4, y=0),
             ]
         }
-    }
+    )
     detections = {0: [[0, 0], [4, 0]]}
     rows = metrics.recall_by_hidden_fraction(detections, truth, edges=(0, 0.5, 1.0))
     assert [(r["count"], r["recall"]) for r in rows] == [(1, 1.0), (2, 0.5)]
@@ -152,7 +166,7 @@ def test_best_below_keeps_what_one_view_lost_and_another_sees() -> None:
         {"left": 0.0, "right": 0.0},  # plain
         {},  # nothing known
     ]
-    truth = {"frames": {"0": [{"x": 2 * i, "y": 0, "hidden_fraction": s} for i, s in enumerate(states)]}}
+    truth = Truth({0: [TrueObject(x=2 * i, y=0, hidden_fraction=s) for i, s in enumerate(states)]})
     detections = {0: [[0, 0], [4, 0], [6, 0], [8, 0]]}
 
     def lost_by_one(**options: Any) -> tuple[Any, Any]:
@@ -173,103 +187,21 @@ def test_best_below_keeps_what_one_view_lost_and_another_sees() -> None:
         lost_by_one(cameras="left")
 
 
-# --- ghosts ----------------------------------------------------------------------------------------
-def with_ids(*frames: str) -> dict[int, list[dict[str, Any]]]:
-    """Detections by id, in frames 0, 10, 20 ...: small letters are far from any truth, capitals stand on A at the origin."""
-    return {10 * i: [{"id": n.lower(), "x": 9 if n.islower() else 0, "y": 0} for n in f] for i, f in enumerate(frames)}
-
-
-def truth_in(frames: int) -> dict[str, Any]:
-    return {"frames": {str(10 * i): [{"id": "A", "x": 0, "y": 0}] for i in range(frames)}}
-
-
-def ghost_lifetimes_naive(frames: list[set[str]]) -> list[int]:
-    """The runs of each id one after the other, then put in order of their first frame."""
-    runs = []
-    for name in set().union(*frames):
-        start = 0
-        for is_ghost, group in groupby(name in frame for frame in frames):
-            length = len(list(group))
-            runs += [(start, name, length)] if is_ghost else []
-            start += length
-    return [length for _, _, length in sorted(runs)]
-
-
-@pytest.mark.parametrize(
-    ("frames", "lengths"),
-    [
-        (["a", "a", "a"], [3]),
-        (["a", "", "a"], [1, 1]),  # absent: the run ends
-        (["a", "A", "a", "a"], [1, 2]),  # matched: the run ends
-        (["a", "ba", "b"], [2, 2]),
-        (["b", "ab", "a", "b"], [2, 2, 1]),  # by first appearance, not by id or length
-        (["a", "b"], [1, 1]),  # the same place under another id is another ghost
-        (["A", "A"], []),
-        (["aa", "a"], [2]),  # an id that comes twice counts once a frame
-        ([], []),
-    ],
-)
-def test_ghost_lifetimes_with_ids(frames: list[str], lengths: list[int]) -> None:
-    assert ghost_lifetimes(with_ids(*frames), truth_in(len(frames))) == lengths
-
-
-@settings(max_examples=100, deadline=None)
-@given(st.lists(st.sets(st.sampled_from("abc")), max_size=7))
-def test_ghost_lifetimes_agree_with_the_naive_ones(frames: list[set[str]]) -> None:
-    detections = with_ids(*map("".join, map(sorted, frames)))
-    lengths = ghost_lifetimes(detections, truth_in(len(frames)))
-    assert lengths == ghost_lifetimes_naive(frames)
-    assert sum(lengths) == evaluate(detections, truth_in(len(frames))).fp
-
-
-def test_ghosts_without_ids_are_linked_by_place() -> None:
-    truth = truth_of([], [], [])
-    assert ghost_lifetimes({0: [[0, 0]], 1: [[0.4, 0]], 2: [[0.8, 0]]}, truth) == [3]  # step by step
-    assert ghost_lifetimes({0: [[0, 0]], 1: [[0.5, 0]]}, truth) == [1, 1]  # exactly the radius
-    assert ghost_lifetimes({0: [[0, 0]], 1: [[0.5, 0]]}, truth, radius=0.6) == [2]
-    assert ghost_lifetimes({0: [[0, 0]], 2: [[0, 0]]}, truth) == [1, 1]  # not over a gap
-    assert ghost_lifetimes({0: [[0, 0]], 1: [[0.1, 0], [0.2, 0]]}, truth) == [2, 1]  # one heir only
-    assert ghost_lifetimes({0: [[0, 0]], 1: [[0.2, 0], [0.1, 0]], 2: [[0.1, 0]]}, truth) == [3, 1]  # the nearest
-    # One without an id: all are linked by place, so the change of id does not end the run.
-    mixed = {0: [{"id": 1, "x": 0, "y": 0}], 1: [{"id": 2, "x": 0, "y": 0}], 2: [{"id": None, "x": 5, "y": 0}]}
-    assert ghost_lifetimes(mixed, truth) == [2, 1]
-    assert ghost_lifetimes({**mixed, 2: []}, truth) == [1, 1]
-
-
-@settings(max_examples=100, deadline=None)
-@given(st.lists(POINTS, max_size=5), st.lists(POINTS, min_size=5, max_size=5))
-def test_ghost_frames_add_up_to_the_false_positives(
-    found: list[list[tuple[float, float]]], true: list[list[tuple[float, float]]]
-) -> None:
-    detections = dict(enumerate(found))
-    lengths = ghost_lifetimes(detections, truth_of(*true), radius=0.3)
-    assert sum(lengths) == evaluate(detections, truth_of(*true), radius=0.3).fp
-    assert all(1 <= length <= len(found) for length in lengths)
-
-
-def test_ghosts_count_in_truth_frames_and_inside_the_region_only() -> None:
-    truth = {**truth_in(3), "roi": {"square": SQUARE}}
-    steps = {0: 0.9, 5: 0.9, 10: 0.9, 20: 1.1}  # frame 5 has no truth; outside in frame 20
-    detections = {frame: [{"id": 1, "x": x, "y": 0.9}] for frame, x in steps.items()}
-    assert ghost_lifetimes(detections, truth) == [3]
-    assert ghost_lifetimes(detections, truth, roi="square") == [2]
-    with pytest.raises(ValueError, match="roi: 'hall' is not in the truth, which has square"):
-        ghost_lifetimes(detections, truth, roi="hall")
-    with pytest.raises(ValueError, match="radius: expected metres > 0, got -1"):
-        ghost_lifetimes(detections, truth, radius=-1)
-
-
 # --- occlusion state -------------------------------------------------------------------------------
 CAMERAS = ("left", "right", "third")
 FRACTIONS = st.dictionaries(st.sampled_from(CAMERAS), st.sampled_from([0.0, 0.5, 0.9, 1.0]))
 REPORTS = st.one_of(st.none(), st.sets(st.sampled_from(CAMERAS)))  # None: the object was lost
 
 
-def hidden_case(*objects: tuple[dict[str, float], Any]) -> tuple[dict[int, list[Any]], dict[str, Any]]:
+def hidden_case(*objects: tuple[dict[str, float], Any]) -> tuple[dict[int, list[DetectedObject]], Truth]:
     """Objects 2 m apart as (hidden fractions, cameras reported or None for a lost one) -> detections, truth."""
-    truth = [{"x": 2 * i, "y": 0, "hidden_fraction": fractions} for i, (fractions, _) in enumerate(objects)]
-    found = [{"x": 2 * i + 0.1, "y": 0, "hidden_in": sorted(r)} for i, (_, r) in enumerate(objects) if r is not None]
-    return {0: found[::-1]}, {"frames": {"0": truth}}
+    truth = [TrueObject(x=2 * i, y=0, hidden_fraction=fractions) for i, (fractions, _) in enumerate(objects)]
+    found = [
+        DetectedObject(x=2 * i + 0.1, y=0, hidden_in=tuple(sorted(r)))
+        for i, (_, r) in enumerate(objects)
+        if r is not None
+    ]
+    return {0: found[::-1]}, Truth({0: truth})
 
 
 def test_planted_hidden_score_by_hand() -> None:
@@ -280,7 +212,7 @@ def test_planted_hidden_score_by_hand() -> None:
         ({"left": 0.0}, {"left", "right"}),  # fp; right is unknown
         ({}, {"left"}),  # unknown altogether
     )
-    detections[0].append({"x": 50, "y": 0, "hidden_in": ["left"]})  # a ghost has no true state
+    detections[0].append(DetectedObject(x=50, y=0, hidden_in=("left",)))  # a ghost has no true state
     score = evaluate_hidden(detections, truth)
     assert (score.tp, score.fp, score.fn, score.compared) == (1, 2, 2, 5)
     assert (score.precision, score.recall, score.f1) == (1 / 3, 1 / 3, 1 / 3)
@@ -311,7 +243,7 @@ def test_hidden_score_agrees_with_sets(objects: list[tuple[dict[str, float], Any
 def test_hidden_score_is_none_where_undefined() -> None:
     plain = evaluate_hidden(*hidden_case(({"left": 0.0}, set())))
     assert (plain.precision, plain.recall, plain.f1, plain.compared) == (None, None, None, 1)
-    detections, truth = {0: [{"x": 0, "y": 0, "hidden_in": ["left"]}]}, truth_of([(0, 0)])
+    detections, truth = {0: [DetectedObject(x=0, y=0, hidden_in=("left",))]}, truth_of([(0, 0)])
     unknown = evaluate_hidden(detections, truth)
     assert (unknown.precision, unknown.recall, unknown.f1, unknown.compared) == (None, None, None, 0)
     silent = evaluate_hidden({0: [[0, 0]]}, hidden_case(({"left": 1.0}, None))[1])  # points say nothing
@@ -320,7 +252,7 @@ def test_hidden_score_is_none_where_undefined() -> None:
 
 def test_hidden_score_respects_region_and_radius() -> None:
     detections, truth = hidden_case(({"left": 1.0}, {"left"}), ({"left": 1.0}, {"left"}))
-    truth["roi"] = {"square": [[-1, -1], [1, -1], [1, 1], [-1, 1]]}
+    truth = Truth(truth.frames, {"square": ((-1, -1), (1, -1), (1, 1), (-1, 1))})
     assert evaluate_hidden(detections, truth).tp == 2
     assert evaluate_hidden(detections, truth, roi="square").tp == 1
     near = evaluate_hidden(detections, truth, radius=0.05)
@@ -336,11 +268,6 @@ def test_hidden_score_respects_region_and_radius() -> None:
         ({"cameras": "left"}, "cameras: expected a sequence of names, got 'left'"),
         ({"roi": "hall"}, "roi: 'hall' is not in the truth, which has none"),
         ({"radius": 0}, "radius: expected metres > 0, got 0"),
-        (
-            {"detections": {0: [{"x": 0, "y": 0, "hidden_in": "left"}]}},
-            r"detections\[0\]\[0\].hidden_in: expected a list of cameras, got left",
-        ),
-        ({"truth": {"frames": {"0": [{"x": 0, "y": 0, "hidden_fraction": [1]}]}}}, "truth.hidden_fraction: expected a"),
     ],
 )
 def test_hidden_score_names_wrong_arguments(change: dict[str, Any], message: str) -> None:
@@ -350,23 +277,35 @@ def test_hidden_score_names_wrong_arguments(change: dict[str, Any], message: str
 
 
 def test_inputs_are_unchanged_and_the_result_repeats() -> None:
-    truth = {**truth_of([(0.2, 0.2), (2, 0)]), "roi": {"square": SQUARE}}
+    truth = truth_of([(0.2, 0.2), (2, 0)], roi={"square": SQUARE})
     detections = {0: np.array([[0.1, 0.0], [3, 3]])}
     before = copy.deepcopy((truth, detections[0].tolist()))
     assert evaluate(detections, truth, roi="square") == evaluate(detections, truth, roi="square")
     assert (truth, detections[0].tolist()) == before
 
 
-def test_ghosts_and_hidden_scores_leave_their_inputs_unchanged() -> None:
+def test_hidden_scores_leave_their_inputs_unchanged() -> None:
     detections, truth = hidden_case(({"left": 1.0, "right": 0.0}, {"left"}), ({"left": 0.0}, None))
     before = copy.deepcopy((detections, truth))
-    for score in (
-        evaluate_hidden,
-        ghost_lifetimes,
-        lambda d, t: metrics.recall_by_hidden_fraction(d, t, best_below=0.9),
-    ):
+    for score in (evaluate_hidden, lambda d, t: metrics.recall_by_hidden_fraction(d, t, best_below=0.9)):
         assert score(detections, truth) == score(detections, truth)  # type: ignore[operator]
         assert (detections, truth) == before
+
+
+def test_object_vectors_and_objects_of_a_file_score_alike() -> None:
+    vector = ObjectVector(3, (0.1, 0.0), (0.0, 0.0), 0.04, (1, 2, 3), hidden_in=("left",))
+    read = formats.convert(vector.to_dict(), DetectedObject)
+    truth = Truth({0: [TrueObject(id="A", x=0, y=0, hidden_fraction={"left": 1.0})]})
+    assert evaluate({0: [vector]}, truth) == evaluate({0: [read]}, truth)
+    assert evaluate({0: [vector]}, truth).id_switches == 0
+    assert evaluate_hidden({0: [vector]}, truth) == evaluate_hidden({0: [read]}, truth)
+    assert evaluate_hidden({0: [vector]}, truth).tp == 1
+
+
+def test_frames_of_the_truth_are_scored_in_order() -> None:
+    truth = Truth({i: [TrueObject(id="A", x=0, y=0)] for i in (2, 0, 1)})
+    seen = {i: [DetectedObject(id=n, x=0, y=0)] for i, n in ((0, 1), (1, 1), (2, 2))}
+    assert evaluate(seen, truth).id_switches == 1
 
 
 @pytest.mark.parametrize(
@@ -375,17 +314,22 @@ def test_ghosts_and_hidden_scores_leave_their_inputs_unchanged() -> None:
         ({"roi": "hall"}, "roi: 'hall' is not in the truth, which has none"),
         ({"radius": 0.0}, "radius: expected metres > 0, got 0.0"),
         ({"radius": float("nan")}, "radius: expected metres > 0"),
-        ({"truth": []}, "truth: expected a mapping with 'units' and 'frames'"),
-        ({"truth": {"units": "mm", "frames": {}}}, "truth.units: expected 'm', got 'mm'"),
-        ({"truth": {"frames": {"one": []}}}, "expected whole numbers as keys, got 'one'"),
-        ({"truth": {"frames": {"1": [], "01": []}}}, "frame 1 comes twice"),
-        (
-            {"truth": {"frames": {"0": [{"x": 1}]}}},
-            r"truth.frames.0\[0\].y: expected finite metres, got None",
-        ),
+        ({"truth": {"frames": {}}}, "truth: expected a Truth, as load_truth gives it, got dict"),
+        ({"truth": Truth({4: [TrueObject(x=np.inf, y=0)]})}, r"truth.frames.4\[0\].x: expected finite metres, got inf"),
         ({"detections": {0: [[1, 2, 3]]}}, r"detections\[0\]: expected shape \(N, 2\)"),
         ({"detections": {0: [[np.nan, 0]]}}, r"detections\[0\]\[0\].x: expected finite metres, got nan"),
-        ({"detections": {0: [{"x": 0, "y": 0}, 5]}}, r"detections\[0\]\[1\]: expected a mapping"),
+        (
+            {"detections": {0: [DetectedObject(x=0, y=np.nan)]}},
+            r"detections\[0\]\[0\].y: expected finite metres, got nan",
+        ),
+        (
+            {"detections": {0: [DetectedObject(x=0, y=0), 5]}},
+            r"detections\[0\]\[1\]: expected an object with x and y, got int",
+        ),
+        (
+            {"detections": {0: [{"x": 0, "y": 0}]}},
+            r"detections\[0\]: expected objects with x and y, or points .N, 2., got .* dict",
+        ),
     ],
 )
 def test_wrong_arguments(change: dict[str, Any], message: str) -> None:
@@ -395,7 +339,7 @@ def test_wrong_arguments(change: dict[str, Any], message: str) -> None:
 
 
 def test_unknown_region_lists_those_there_are() -> None:
-    truth = {**truth_of([]), "roi": {"west": SQUARE, "east": SQUARE}}
+    truth = truth_of([], roi={"west": SQUARE, "east": SQUARE})
     with pytest.raises(ValueError, match="roi: 'hall' is not in the truth, which has west, east"):
         evaluate({}, truth, roi="hall")
 
@@ -415,118 +359,11 @@ def test_coverage_and_claimed_area_of_a_planted_map() -> None:
         metrics.footprint_coverage(occupied.astype(np.int64), floor, [left])  # type: ignore[arg-type]
 
 
-def test_free_space_blocked_of_a_planted_map() -> None:
-    floor = Floor((0, 1), (0, 1), 0.1)
-    occupied = np.zeros(floor.shape, bool)
-    occupied[:, :5] = True  # x < 0.5
-    left = np.array([[0, 0], [0.3, 0], [0.3, 1], [0, 1]])
-    full = np.array([[-1, -1], [2, -1], [2, 2], [-1, 2]])
-    before = occupied.copy()
-    assert free_space_blocked(occupied, floor, [left]) == pytest.approx(20 / 70)
-    assert free_space_blocked(occupied, floor, [left, left]) == pytest.approx(20 / 70)  # overlaps count once
-    assert free_space_blocked(occupied, floor, []) == 0.5
-    assert free_space_blocked(occupied, floor, [full]) is None
-    assert free_space_blocked(floor.polygon_mask(left), floor, [left]) == 0.0
-    assert np.array_equal(occupied, before)
-    with pytest.raises(ValueError, match=r"occupied: expected bool \(10, 10\), got int64"):
-        free_space_blocked(occupied.astype(np.int64), floor, [left])  # type: ignore[arg-type]
-    with pytest.raises(ValueError, match=r"occupied: expected bool \(10, 10\), got bool \(10, 9\)"):
-        free_space_blocked(occupied[:, :9], floor, [left])
-
-
-@settings(max_examples=50, deadline=None)
-@given(st.lists(st.booleans(), min_size=12, max_size=12), st.lists(st.tuples(*[st.floats(0, 4)] * 4), max_size=3))
-def test_free_space_blocked_agrees_with_a_count_of_cells(
-    cells: list[bool], corners: list[tuple[float, float, float, float]]
-) -> None:
-    floor = Floor((0, 4), (0, 3), 1.0)
-    occupied = np.array(cells).reshape(floor.shape)
-    footprints = [[[a, b], [c, b], [c, d], [a, d]] for a, b, c, d in corners]
-    masks = [floor.polygon_mask(footprint) for footprint in footprints]
-    free = [bool(occupied[i, j]) for i in range(3) for j in range(4) if not any(mask[i, j] for mask in masks)]
-    assert free_space_blocked(occupied, floor, footprints) == (sum(free) / len(free) if free else None)
-
-
-# --- files -----------------------------------------------------------------------------------------
-def test_objects_file_reads_back(tmp_path: Path) -> None:
-    lines = [
-        {"frame": 3, "time": 0.3, "objects": [{"id": 1, "x": 1.0, "y": 2.0}]},
-        {"frame": 4, "objects": []},
-    ]
-    path = tmp_path / "objects.jsonl"
-    path.write_text("\n".join(map(json.dumps, lines)) + "\n\n")
-    assert formats.load_objects(path) == {3: lines[0]["objects"], 4: []}
-
-
-GOOD = b'{"frame": 1, "objects": []}\n'
-
-
-@pytest.mark.parametrize(
-    ("content", "message"),
-    [
-        (GOOD + b"{nope", r":2: not valid JSON \(Expecting property name"),
-        (GOOD + b"[" * 100_000, r":2: not valid JSON"),
-        (GOOD + b"\xff\xfe", r":2: not UTF-8 text"),
-        (GOOD + GOOD, r":2: frame 1 comes twice"),
-        (GOOD + b'{"frame": ' + b"9" * 5000 + b"}", r":2: not valid JSON"),
-        (GOOD + b"[]", r":2: expected an object with an integer 'frame'"),
-        (b'{"frame": true, "objects": []}', r":1: expected an object with an integer 'frame'"),
-        (b'{"frame": 1}', r":1: objects: expected a list, got NoneType"),
-        (b'{"frame": 1, "objects": [{"x": 1}]}', r":1: objects\[0\].y: expected finite metres, got None"),
-        (
-            b'{"frame": 1, "objects": [{"x": NaN, "y": 0}]}',
-            r":1: objects\[0\].x: expected finite metres, got nan",
-        ),
-        (
-            b'{"frame": 1, "objects": [{"x": 1, "y": "2"}]}',
-            r":1: objects\[0\].y: expected finite metres, got 2",
-        ),
-        (b'{"frame": 1, "objects": [7]}', r":1: objects\[0\]: expected a mapping"),
-        (
-            b'{"frame": 1, "objects": [{"x": 1, "y": 0, "hidden_in": "left"}]}',
-            r":1: objects\[0\].hidden_in: expected a list of cameras, got left",
-        ),
-        (
-            b'{"frame": 1, "objects": [{"x": 1, "y": 0, "hidden_in": [3]}]}',
-            r":1: objects\[0\].hidden_in: expected a list of cameras, got \[3\]",
-        ),
-    ],
-)
-def test_malformed_objects_name_the_line(tmp_path: Path, content: bytes, message: str) -> None:
-    path = tmp_path / "objects.jsonl"
-    path.write_bytes(content)
-    with pytest.raises(ValueError, match=f"objects.jsonl{message}"):
-        formats.load_objects(path)
-
-
-@pytest.mark.parametrize(
-    ("content", "message"),
-    [
-        ("{", "not valid JSON"),
-        ("[]", "expected a mapping"),
-        ('{"frames": {"0": {}}}', "truth.frames.0: expected a list, got dict"),
-        ('{"frames": {}, "roi": {"a": [[0, 0], [1, 1]]}}', "roi 'a': expected three or more finite points"),
-        ('{"frames": {}, "roi": {"a": "hall"}}', "roi 'a': expected three or more finite points"),
-    ],
-)
-def test_malformed_truth_names_the_field(tmp_path: Path, content: str, message: str) -> None:
-    path = tmp_path / "truth.json"
-    path.write_text(content)
-    with pytest.raises(ValueError, match=f"truth.json: .*{message}"):
-        formats.load_truth(path)
-
-
-def test_missing_files_are_one_line_errors(tmp_path: Path) -> None:
-    for load in (formats.load_objects, formats.load_truth):
-        with pytest.raises(ValueError, match=r"none.json: cannot read .No such file"):
-            load(tmp_path / "none.json")
-
-
 @pytest.mark.skipif(not UFES.is_dir(), reason=f"real recording not at {UFES}")
 def test_real_truth_scores_itself_perfectly() -> None:
     truth = formats.load_truth(UFES / "truth.json")
-    detections = {int(frame): things for frame, things in truth["frames"].items()}
-    for roi in (None, *truth["roi"]):
+    detections = {k: [DetectedObject(id=t.id, x=t.x, y=t.y) for t in true] for k, true in truth.frames.items()}
+    for roi in (None, *truth.roi):
         score = evaluate(detections, truth, roi=roi)
         assert (score.moda, score.modp, score.frames) == (1.0, 1.0, 28)
     assert evaluate(detections, truth).truth_count == 56
@@ -551,3 +388,20 @@ def test_foreground_scores_count_what_they_say() -> None:
     assert all(math.isnan(value) for value in nothing.values())
     with pytest.raises(ValueError, match="mask, truth, difference: expected bool, bool and numbers of one shape"):
         foreground_scores(mask, truth[:5], difference)
+
+
+# --- identity ------------------------------------------------------------------------------------------------
+def test_labels_are_right_wrong_or_missing_and_sizes_are_ratios() -> None:
+    square = [(0.0, 0.0), (0.5, 0.0), (0.5, 0.4), (0.0, 0.4)]
+    truth = Truth({f: [TrueObject(id="A", x=0, y=0, footprint=square), TrueObject(id="B", x=2, y=0)] for f in range(4)})
+    labels = [("x", "y"), ("x", "y"), ("y", "x"), (None, "y")]
+    found = {
+        f: [DetectedObject(x=0, y=0, label=a, size=0.4), DetectedObject(x=2, y=0.1, label=b, size=0.3)]
+        for f, (a, b) in enumerate(labels)
+    }
+    score = metrics.evaluate_identity(found, truth)
+    assert (score.right, score.wrong, score.unlabelled) == (5, 2, 1)
+    assert score.label_of == {"A": "x", "B": "y"}
+    assert score.size_ratio == {"A": pytest.approx(2.0)}
+    nothing = metrics.evaluate_identity({}, truth)
+    assert (nothing.right, nothing.wrong, nothing.unlabelled, nothing.label_of) == (0, 0, 0, {})

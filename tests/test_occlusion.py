@@ -14,7 +14,7 @@ from hypothesis.extra.numpy import arrays
 
 from occlib.explaining.explainer import standing_places
 from occlib.geometry import Floor
-from occlib.occlusion import fuse, hidden_fractions, truth_table
+from occlib.occlusion import RULES, FusionRule, fuse, fusion_rule, hidden_fractions, truth_table
 
 Array = np.ndarray[Any, Any]
 LEFT = np.array([[True, True, False, False]])
@@ -81,6 +81,7 @@ KINDS: dict[str, st.SearchStrategy[Array]] = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rule", ["and", "or"])
 @pytest.mark.parametrize("kind", KINDS)
 @given(data=st.data())
@@ -111,7 +112,7 @@ def test_changing_the_result_never_changes_the_evidence() -> None:
 
 
 def test_wrong_arguments_are_named() -> None:
-    with pytest.raises(ValueError, match="rule: expected one of and, or, most, product, log-odds, planes, got 'xor'"):
+    with pytest.raises(ValueError, match=f"rule: expected one of {', '.join(RULES)}, got 'xor'"):
         fuse([LEFT], "xor")
     with pytest.raises(ValueError, match="evidence: expected at least one view, got none"):
         fuse([])
@@ -166,6 +167,7 @@ def assert_is(fused: Array, expected: Array) -> None:
         assert np.abs(fused - scale * expected).max() <= spare
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [1, 2, 3, 4, 5])
 @pytest.mark.parametrize("rule", ["most", "product", "log-odds"])
 @settings(max_examples=20, deadline=None)
@@ -266,6 +268,51 @@ def test_wrong_arguments_of_the_soft_rules_are_named() -> None:
         fuse([np.ones((2, 1, 4), bool)] * 2, "planes", visible=[np.ones((1, 4), bool)] * 2)
     with pytest.raises(ValueError, match="evidence: expected finite numbers"):
         fuse([np.array([[np.nan]])], "log-odds")
+    with pytest.raises(ValueError, match="evidence: expected at least one plane, got none"):
+        fuse([np.ones((0, 2, 3), bool)], "planes")
+
+
+def test_what_callers_need_to_know_is_told_by_each_rule() -> None:
+    assert all(name == rule.name and rule.description and "\n" not in rule.description for name, rule in RULES.items())
+    expected = {"and": (False, False, True, False), "or": (False, False, False, True), "most": (False,) * 4}
+    expected |= {"product": (True, False, False, False), "log-odds": (True, False, False, False)}
+    expected |= {"planes": (True, True, False, False)}
+    for name, flags in expected.items():
+        rule = RULES[name]
+        assert (rule.soft, rule.planes, rule.unanimous, rule.one_view_enough) == flags, name
+
+
+@given(arrays(bool, (3, 4, 5)), arrays(bool, (3, 4, 5)))
+def test_a_unanimous_rule_lies_inside_every_view_that_sees_the_cell(views: Array, seen: Array) -> None:
+    for name in (name for name, rule in RULES.items() if rule.unanimous):
+        fused = fuse(list(views), name, visible=list(seen))
+        assert (views | ~seen)[:, fused].all()
+
+
+def test_a_rule_of_ones_own(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("occlib.occlusion.RULES", table := dict(RULES))
+
+    @fusion_rule("nearest-yes", soft=True)
+    def _mean(views: Array, seen: Array) -> Array:
+        """the mean is at least one half
+
+        And more.
+        """
+        assert views.dtype == np.float64 and seen.dtype == np.bool_ and views.shape == seen.shape
+        return np.asarray(np.where(seen, views, 0).sum(axis=0) / np.maximum(seen.sum(axis=0), 1))
+
+    expected = FusionRule("nearest-yes", "the mean is at least one half", _mean, soft=True)
+    assert table["nearest-yes"] == expected
+    views = [np.array([[255, 0, 80]], np.uint8), np.array([[155, 0, 90]], np.uint8)]
+    assert fuse(views, "nearest-yes").tolist() == [[205, 0, 85]]
+    assert fuse(views, "nearest-yes", visible=[np.array([[True, False, False]])] * 2).tolist() == [[205, 0, 0]]
+    assert fuse([LEFT, RIGHT], "nearest-yes").tolist() == [[True, True, True, False]]
+    fusion_rule("nearest-yes")(lambda views, seen: views[0, 0])  # again, as in a notebook
+    with pytest.raises(ValueError, match=r"nearest-yes: expected a rule that returns \(1, 4\), got \(4,\)"):
+        fuse([LEFT, RIGHT], "nearest-yes")
+    for bad in ("and", "log odds", "", 3):
+        with pytest.raises(ValueError, match=f"name: expected letters, digits, _ and -, and none of .*; got {bad!r}"):
+            fusion_rule(bad)  # type: ignore[arg-type]
 
 
 def test_evidence_at_the_level_is_not_above_it() -> None:

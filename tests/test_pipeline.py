@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -16,10 +15,11 @@ import pytest
 
 from occlib import formats, metrics
 from occlib.explaining.appearance import _box
-from occlib.finding import HIDDEN, _confirmed_first
+from occlib.finding import HIDDEN, Regions, confirmed_only
 from occlib.foreground.background import Background
 from occlib.foreground.difference import smooth, subtract_background
 from occlib.foreground.threshold import otsu_threshold
+from occlib.formats import Truth
 from occlib.geometry import Camera, Floor, Rig
 from occlib.localization import find_regions
 from occlib.mapping import BLIND, DISAGREE, ONE_VIEW, UNCONFIRMED, load_map, save_map
@@ -27,6 +27,7 @@ from occlib.occlusion import fuse
 from occlib.pipeline import PROFILES, FrameResult, Pipeline, Settings, backgrounds_of, settings_for
 from occlib.recordings import LAB, open_recording
 from occlib.registration import FloorWarp
+from occlib.settings import list_settings
 from occlib.tracking import ObjectVector
 
 Array = np.ndarray[Any, Any]
@@ -78,9 +79,9 @@ def test_the_tiny_recording_from_folder_to_objects(
     for frame, images in recording.images():
         result = pipeline.process(images, recording.time(frame))
         assert result.time == recording.time(frame)
-        detections[frame] = [thing.to_dict() for thing in result.objects]
+        detections[frame] = result.objects
         moving.append(min(result.objects, key=lambda thing: thing.position_m[1]))
-        footprints = [thing["footprint"] for thing in truth["frames"][str(frame)]]
+        footprints = [true.footprint for true in truth.frames[frame]]
         covered = metrics.footprint_coverage(result.map.data == 100, recording.rig.floor, footprints)
         assert covered.min() >= covered_at_least
     score = metrics.evaluate(detections, truth, radius=0.1)
@@ -138,7 +139,8 @@ def test_an_object_hidden_in_the_left_view_is_mapped_and_said_to_be_hidden(tiny_
 
 def test_a_ghost_between_two_objects_is_removed(tiny_rig: Rig, draw: Draw) -> None:
     boxes = [box(1.0, 1.5, height=0.69), box(3.0, 1.45, height=0.69, colour=(20, 20, 60))]
-    kept = Pipeline(tiny_rig, draw([]), replace(AND, remove_ghosts=False))
+    without_removal = replace(AND, finder=replace(AND.finder, remove_ghosts=False))
+    kept = Pipeline(tiny_rig, draw([]), without_removal)
     with_ghost = kept.process(draw(boxes), 0.0)
     assert len(with_ghost.objects) == 3
     ghost = positions(with_ghost)[1]
@@ -195,7 +197,7 @@ def test_the_recommended_profile_warps_the_difference_and_thresholds_it_on_the_f
     settings = settings_for(threshold=40.0)
     result = Pipeline(tiny_rig, empty, settings).process(images, 0.0)
     for name, camera in tiny_rig.cameras.items():
-        difference = smooth(subtract_background(images[name], Background(empty[name])), size=settings.smoothing_px)
+        difference = smooth(subtract_background(images[name], Background(empty[name])), size=5)
         warp = FloorWarp(camera, tiny_rig.floor)
         np.testing.assert_array_equal(result.views[name], warp.warp(difference) > 40)
         assert (result.views[name] != warp.warp(difference > 40)).any()  # not the same as warping the mask
@@ -211,7 +213,7 @@ def test_only_the_recommended_profile_sees_what_is_as_bright_as_the_floor(tiny_r
 def test_the_or_rule_claims_more_than_the_and_rule(tiny_rig: Rig, draw: Draw) -> None:
     images, empty = draw([box(2.0, 1.5)]), draw([])
     both = {
-        rule: Pipeline(tiny_rig, empty, settings_for(rule=rule, remove_ghosts=False)).process(images, 0.0)
+        rule: Pipeline(tiny_rig, empty, settings_for(rule=rule, **{"finder.remove_ghosts": False})).process(images, 0.0)
         for rule in ("and", "or")
     }
     assert both["or"].occupied[both["and"].occupied].all()
@@ -243,7 +245,7 @@ def half_blind(tiny_rig: Rig, name: str, target: Sequence[float]) -> Camera:
     right = np.cross(forward, [0.0, 0.0, 1.0])
     right /= np.linalg.norm(right)
     rotation = np.stack([right, np.cross(forward, right), forward])
-    return Camera.from_pose(name, model.size, model.matrix, model.distortion, rotation, -rotation @ centre)
+    return Camera.from_pose(name, model.size, model.lens, rotation, -rotation @ centre)
 
 
 def grey_floor(rig: Rig) -> dict[str, Array]:
@@ -351,13 +353,13 @@ def test_bad_settings_are_named(tiny_rig: Rig, draw: Draw) -> None:
     with pytest.raises(ValueError, match="profile: expected one of recommended, and, paper, got 'papre'"):
         settings_for("papre")
     with pytest.raises(ValueError, match="position: expected centroid or middle, got 'mean'"):
-        Pipeline(tiny_rig, empty, Settings(position="mean"))
+        Pipeline(tiny_rig, empty, Settings(finder=Regions(position="mean")))
     for change, message in (
         ({"rule": "xor"}, "rule: expected one of and, or"),
         ({"threshold": "ostu"}, "threshold: expected otsu"),
         ({"threshold": -3.0}, "threshold: expected grey levels >= 0"),
         ({"threshold": "otsu", "smoothing_px": 4}, "size: expected an odd number of px"),
-        ({"rule": "and", "join_m": -0.1}, "join: expected px >= 0"),
+        ({"rule": "and", "join_m": -0.1}, "join_m: expected metres >= 0"),
     ):
         with pytest.raises(ValueError, match=message):
             Pipeline(tiny_rig, empty, settings_for(**change)).process(empty, 0.0)
@@ -367,8 +369,11 @@ def test_settings_for_changes_what_is_given_and_nothing_else() -> None:
     assert settings_for() == PROFILES["recommended"] == Settings()
     assert settings_for("paper", rule=None, threshold=None) == PROFILES["paper"]
     changed = settings_for("paper", threshold=25.0)
-    assert changed == replace(PROFILES["paper"], threshold=25.0)
-    assert (PROFILES["paper"].threshold, PROFILES["paper"].position) == ("otsu", "centroid")
+    paper = PROFILES["paper"]
+    assert changed == replace(paper, foreground=replace(paper.foreground, threshold=25.0))
+    assert (
+        list_settings(paper)["foreground.threshold"] == "otsu" and list_settings(paper)["finder.position"] == "centroid"
+    )
 
 
 def test_backgrounds_come_from_the_empty_pictures_or_are_learned(tiny_recording: Path, draw: Draw) -> None:
@@ -402,27 +407,27 @@ def run(
     pipeline = Pipeline(recording.rig, backgrounds_of(recording), settings)
     frames = recording.frames[::every]
     results = {frame: pipeline.process(images, recording.time(frame)) for frame, images in recording.images(frames)}
-    truth["frames"] = {str(frame): truth["frames"][str(frame)] for frame in frames}
-    return results, truth, recording.rig.floor
+    return results, truth.select(frames), recording.rig.floor
 
 
-def score(results: Mapping[int, FrameResult], truth: Mapping[str, Any], radius: float) -> metrics.Score:
+def score(results: Mapping[int, FrameResult], truth: Truth, radius: float) -> metrics.Score:
     return metrics.evaluate(
-        {frame: [thing.to_dict() for thing in result.objects] for frame, result in results.items()},
+        {frame: result.objects for frame, result in results.items()},
         truth,
         radius=radius,
     )
 
 
-def least_coverage(results: Mapping[int, FrameResult], truth: Mapping[str, Any], floor: Floor) -> float:
+def least_coverage(results: Mapping[int, FrameResult], truth: Truth, floor: Floor) -> float:
     return min(
         metrics.footprint_coverage(
-            result.map.data == 100, floor, [thing["footprint"] for thing in truth["frames"][str(frame)]]
+            result.map.data == 100, floor, [true.footprint for true in truth.frames[frame]]
         ).min()
         for frame, result in results.items()
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("settings", [AND, settings_for()])
 def test_ball_and_oval_left_alone_maps_one_object_both_views_two(settings: Settings) -> None:
     path = lab("ball_and_oval")
@@ -436,6 +441,7 @@ def test_ball_and_oval_left_alone_maps_one_object_both_views_two(settings: Setti
         assert ball.colour[0] > 1.5 * ball.colour[2] and oval.colour[2] > 1.5 * oval.colour[0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "settings"),
     [
@@ -458,11 +464,8 @@ def test_the_paper_profile_also_finds_ball_and_oval() -> None:
     pipeline = Pipeline(recording.rig, backgrounds_of(recording), settings_for("paper"))
     frame, images = next(recording.images())
     result = pipeline.process(images, 0.0)
-    truth = json.loads((recording.path / "truth.json").read_text(encoding="utf-8"))["frames"][str(frame)]
-    for thing in truth:
-        distances = np.linalg.norm(
-            np.subtract([o.position_m for o in result.objects], (thing["x"], thing["y"])), axis=1
-        )
+    for true in formats.load_truth(recording.path / "truth.json").frames[frame]:
+        distances = np.linalg.norm(np.subtract([o.position_m for o in result.objects], (true.x, true.y)), axis=1)
         assert distances.min() < 0.15
 
 
@@ -475,19 +478,19 @@ def test_each_footprint_lies_around_its_position() -> None:
             assert math.dist(middle, thing.position_m) < 0.03
 
 
+@pytest.mark.slow
 def test_long_occlusion_keeps_the_hidden_robot_on_the_map_in_every_frame() -> None:
     results, truth, _ = run(lab("long_occlusion"), ["left", "right"])
     scored = score(results, truth, radius=0.3)
     assert scored.moda == 1.0
     assert scored.error_median_m is not None and scored.error_median_m <= 0.02
-    hidden = [
-        frame for frame in results if any(t["hidden_fraction"]["left"] == 1.0 for t in truth["frames"][str(frame)])
-    ]
+    hidden = [frame for frame in results if any(t.hidden_fraction["left"] == 1.0 for t in truth.frames[frame])]
     assert len(hidden) >= 60
     said = [any("left" in thing.hidden_in for thing in results[frame].objects) for frame in hidden]
     assert np.mean(said) >= 0.9
 
 
+@pytest.mark.slow
 def test_four_robots_with_the_papers_two_cameras() -> None:
     results, truth, _ = run(lab("four_robots"), ["left", "right"])
     scored = score(results, truth, radius=0.3)
@@ -495,17 +498,19 @@ def test_four_robots_with_the_papers_two_cameras() -> None:
     assert scored.error_median_m is not None and scored.error_median_m <= 0.02
 
 
+@pytest.mark.slow
 def test_who_is_hidden_is_said_and_nobody_else() -> None:
     """Against the true hidden fractions (at least 0.9) of both recordings with robots that hide each other, every frame."""
     found = []
     for name in ("four_robots", "long_occlusion"):
         results, truth, _ = run(lab(name), ["left", "right"])
-        detections = {frame: [thing.to_dict() for thing in result.objects] for frame, result in results.items()}
+        detections = {frame: result.objects for frame, result in results.items()}
         found.append(metrics.evaluate_hidden(detections, truth, radius=0.3, cameras=["left", "right"]))
     right, wrong, missed = (sum(getattr(score, field) for score in found) for field in ("tp", "fp", "fn"))
     assert right > 80 and right / (right + wrong) >= 0.95 and right / (right + missed) >= 0.95
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["long_occlusion", "four_robots"])
 def test_every_object_keeps_its_identity_and_has_its_velocity(name: str) -> None:
     """No switch and no loss through total occlusion; the true velocity is that of a second."""
@@ -513,27 +518,28 @@ def test_every_object_keeps_its_identity_and_has_its_velocity(name: str) -> None
     ids: dict[str, set[int]] = {}
     errors = []
     for frame, result in results.items():
-        for thing in truth["frames"][str(frame)]:
-            nearest = min(result.objects, key=lambda o: math.dist(o.position_m, (thing["x"], thing["y"])))
-            assert math.dist(nearest.position_m, (thing["x"], thing["y"])) < 0.3
-            ids.setdefault(thing["id"], set()).add(nearest.id)
+        for true in truth.frames[frame]:
+            nearest = min(result.objects, key=lambda o: math.dist(o.position_m, (true.x, true.y)))
+            assert math.dist(nearest.position_m, (true.x, true.y)) < 0.3
+            ids.setdefault(str(true.id), set()).add(nearest.id)
             around = [
-                next(t for t in truth["frames"][str(f)] if t["id"] == thing["id"])
+                next(t for t in truth.frames[f] if t.id == true.id)
                 for f in (max(frame - 5, min(results)), min(frame + 5, max(results)))
             ]
             span = (min(frame + 5, max(results)) - max(frame - 5, min(results))) / 10
-            true = [(around[1][axis] - around[0][axis]) / span for axis in "xy"]
-            errors.append(math.dist(nearest.velocity_mps, true))
+            velocity = ((around[1].x - around[0].x) / span, (around[1].y - around[0].y) / span)
+            errors.append(math.dist(nearest.velocity_mps, velocity))
     assert all(len(own) == 1 for own in ids.values()) and len(set.union(*ids.values())) == len(ids)
     assert np.median(errors[len(ids) :]) <= 0.05
 
 
+@pytest.mark.slow
 def test_four_robots_with_four_cameras_claim_less_floor_than_with_two() -> None:
     path = lab("four_robots")
     two, truth, floor = run(path, ["left", "right"], every=20)
     four, _, _ = run(path, ["left", "right", "front", "back"], every=20)
     for frame, result in four.items():
-        footprints = [thing["footprint"] for thing in truth["frames"][str(frame)]]
+        footprints = [true.footprint for true in truth.frames[frame]]
         claims = [metrics.claimed_area_ratio(r.map.data == 100, floor, footprints) for r in (two[frame], result)]
         assert claims[0] is not None and claims[1] is not None
         assert claims[1] <= claims[0]
@@ -550,12 +556,14 @@ UFES = {
 """The cameras of the README's table, and the regions that they are scored in."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("cameras", UFES, ids="+".join)
-def test_ufes_lab_two_people_in_a_real_room(shared_data: Callable[[str], Path], cameras: tuple[str, ...]) -> None:
-    """About a minute each: the background is learned from frames that are never empty."""
+def test_ufes_lab_two_people_in_a_real_room(
+    shared_data: Callable[[str], Path], real_room: dict[str, Background], cameras: tuple[str, ...]
+) -> None:
     recording = open_recording(shared_data("ufes-lab"), cameras)
     truth = formats.load_truth(recording.path / "truth.json")
-    backgrounds, frames = backgrounds_of(recording), range(20, 149)
+    backgrounds, frames = {name: real_room[name] for name in cameras}, range(20, 149)
     pipelines = {
         name: Pipeline(recording.rig, backgrounds, settings_for(name)) for name in ("paper", "and", "recommended")
     }
@@ -563,8 +571,8 @@ def test_ufes_lab_two_people_in_a_real_room(shared_data: Callable[[str], Path], 
     for frame, images in recording.images(frames):
         for name, pipeline in pipelines.items():
             result = pipeline.process(images, recording.time(frame))
-            detections[name][frame] = [thing.to_dict() for thing in result.objects]
-    truth["frames"] = {key: things for key, things in truth["frames"].items() if int(key) in frames}
+            detections[name][frame] = result.objects
+    truth = truth.select(frames)
     readme = (Path(__file__).parents[1] / "README.md").read_text(encoding="utf-8")
     moda, error = {}, {}
     for roi in UFES[cameras]:
@@ -577,8 +585,8 @@ def test_ufes_lab_two_people_in_a_real_room(shared_data: Callable[[str], Path], 
     assert all(error[roi] <= (0.06 if len(cameras) == 2 else 0.05) for roi in UFES[cameras])
     if cameras == ("cam1", "cam2", "cam3"):
         seen = [(f, thing) for f, things in detections["recommended"].items() if f >= 40 for thing in things]
-        inside = metrics.inside_polygon([(thing["x"], thing["y"]) for _, thing in seen], truth["roi"]["cam1+cam2+cam3"])
-        assert len({thing["id"] for (_, thing), there in zip(seen, inside, strict=True) if there}) <= 3  # two people
+        inside = metrics.inside_polygon([thing.position_m for _, thing in seen], truth.region("cam1+cam2+cam3"))
+        assert len({thing.id for (_, thing), there in zip(seen, inside, strict=True) if there}) <= 3  # two people
 
 
 @pytest.mark.parametrize("settings", [AND, settings_for()])
@@ -617,7 +625,7 @@ def test_the_other_camera_carries_on_alone(tiny_rig: Rig, draw: Draw, settings: 
         assert list(result.views) == ["left"]
         assert all("right" not in thing.hidden_in for thing in result.objects)
         assert not (result.map.data == 0).any()  # what one view says is bare may be hidden from the other: unknown
-        if settings.rule == "explain":
+        if settings.finder.rule == "explain":
             agree(result, boxes, 0.15)  # the model of an upright body places it from one view
             assert set(np.unique(result.reason)) == {0, ONE_VIEW}
         else:  # AND of one view is its shadows: nothing is claimed
@@ -663,11 +671,12 @@ def test_a_frozen_picture_does_not_hold_an_object_where_it_was(tiny_rig: Rig, dr
     assert pipeline.process(draw([moved]), 1.0).excluded == {}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("reason", ["missing", "black", "covered", "frozen"])
 def test_four_cameras_go_on_with_three(reason: str) -> None:
     """The damaged camera neither deletes nor adds an object, and little of the map is lost."""
     recording = open_recording(lab("four_robots"), ["left", "right", "front", "back"])
-    truth = formats.load_truth(recording.path / "truth.json")["frames"]
+    truth = formats.load_truth(recording.path / "truth.json").frames
     pipeline = Pipeline(recording.rig, backgrounds_of(recording))
     cloth = np.full((480, 640, 3), (150, 130, 60), np.uint8)
     first: Any = None
@@ -680,7 +689,7 @@ def test_four_cameras_go_on_with_three(reason: str) -> None:
         if late:
             assert result.excluded == {"front": reason}
             assert list(result.views) == ["left", "right", "back"]
-            agree(result, [SimpleNamespace(**thing) for thing in truth[str(frame)]], 0.1)
+            agree(result, truth[frame], 0.1)
             assert (result.map.data == -1).mean() < 0.2
 
 
@@ -695,26 +704,31 @@ def test_cores_part_robots_whose_shadows_touch() -> None:
     backgrounds = backgrounds_of(recording)
     (_, images), *_ = recording.images([52])
     count = {
-        core: len(Pipeline(recording.rig, backgrounds, replace(AND, core=core)).process(images, 5.2).objects)
-        for core in (0.0, PROFILES["recommended"].core)
+        core: len(
+            Pipeline(recording.rig, backgrounds, settings_for("and", core=core, confirm_s=0.2))
+            .process(images, 5.2)
+            .objects
+        )
+        for core in (0.0, 1.5)
     }
     assert count == {0.0: 3, 1.5: 4}
     assert len(Pipeline(recording.rig, backgrounds).process(images, 5.2).objects) == 4  # no cores needed
 
 
+@pytest.mark.slow
 def test_templates_name_the_robots_and_bring_their_ids_back() -> None:
     """Templates cut from the first frame; then the floor is empty for two seconds, and the robots stand elsewhere."""
     recording = open_recording("four_robots", ["left", "right"])
     backgrounds = backgrounds_of(recording)
-    truth = formats.load_truth(recording.path / "truth.json")["frames"]
+    truth = formats.load_truth(recording.path / "truth.json").frames
     first = Pipeline(recording.rig, backgrounds)
     (_, images), *later = recording.images([0, *range(60, 64)])
     templates = {}
-    for thing, cylinder in zip(first.process(images, 0.0).objects, first._explainer.before, strict=True):
+    for thing, cylinder in zip(first.process(images, 0.0).objects, first.finder.cylinders, strict=True):
         camera = max(thing.visible, key=lambda name: thing.visible[name])
         left, top, right, bottom = _box(cylinder, recording.rig, camera)
-        nearest = min(truth["0"], key=lambda t: math.dist(thing.position_m, (t["x"], t["y"])))
-        templates[nearest["id"]] = images[camera][max(top, 0) : bottom + 1, max(left, 0) : right + 1]
+        nearest = min(truth[0], key=lambda t: math.dist(thing.position_m, (t.x, t.y)))
+        templates[str(nearest.id)] = images[camera][max(top, 0) : bottom + 1, max(left, 0) : right + 1]
     assert len(templates) == 4
     pipeline = Pipeline(recording.rig, backgrounds, templates=templates)
     known = {thing.label: thing.id for thing in pipeline.process(images, 0.0).objects}
@@ -726,7 +740,7 @@ def test_templates_name_the_robots_and_bring_their_ids_back() -> None:
         objects = pipeline.process(pictures, 2.1 + 0.1 * k).objects
         assert {thing.label: thing.id for thing in objects} == known
         for thing in objects:
-            place = next((t["x"], t["y"]) for t in truth[str(frame)] if t["id"] == thing.label)
+            place = next((t.x, t.y) for t in truth[frame] if t.id == thing.label)
             assert math.dist(thing.position_m, place) < 0.1
     with pytest.raises(ValueError, match=r"templates\['x'\]: expected uint8 RGB or RGBA of 4 x 4 px"):
         Pipeline(recording.rig, backgrounds, templates={"x": np.zeros((2, 9, 3), np.uint8)})
@@ -756,6 +770,6 @@ def test_what_is_new_is_unknown_until_it_is_confirmed(tiny_rig: Rig, draw: Draw)
 
 def test_confirmed_objects_are_numbered_without_the_candidates() -> None:
     objects = [ObjectVector(identity, (0.0, 0.0), (0.0, 0.0), 0.1, (0, 0, 0)) for identity in (0, 5, 0, 6)]
-    labels, candidates = _confirmed_first(np.array([[0, 1, 2, 3, 4]], np.int32), objects)
+    labels, candidates = confirmed_only(np.array([[0, 1, 2, 3, 4]], np.int32), objects)
     assert labels.tolist() == [[0, 0, 1, 0, 2]] and labels.dtype == np.int32
     assert candidates.tolist() == [[False, True, False, True, False]]

@@ -16,6 +16,7 @@ from matplotlib.figure import Figure
 
 from occlib.explaining.cylinders import Cylinder
 from occlib.explaining.evidence import PolarWarp
+from occlib.formats import TrueObject, Truth
 from occlib.geometry import Floor, Rig
 from occlib.mapping import REASONS, OccupancyMap
 from occlib.pipeline import FrameResult, Pipeline
@@ -186,10 +187,10 @@ def test_objects_stand_where_they_are_in_their_colour_with_their_number_and_velo
 
 
 def test_true_footprints_are_closed_and_dashed_and_bare_points_are_crosses(ax: Axes) -> None:
-    square = [[0, 0], [1, 0], [1, 1], [0, 1]]
-    show_footprints(ax, [{"x": 0.5, "y": 0.5, "footprint": square}, {"x": 2.0, "y": 1.0}])
-    outline, cross, _ = ax.lines
-    assert outline.get_xydata().tolist() == [*square, square[0]]
+    square = ((0, 0), (1, 0), (1, 1), (0, 1))
+    show_footprints(ax, [TrueObject(x=0.5, y=0.5, footprint=square), TrueObject(x=2.0, y=1.0), np.array(square)])
+    outline, cross, again, _ = ax.lines
+    assert outline.get_xydata().tolist() == again.get_xydata().tolist() == [list(at) for at in (*square, square[0])]
     assert outline.get_linestyle() == "--" and outline.get_color() == TRUTH_COLOUR
     assert cross.get_xydata().tolist() == [[2.0, 1.0]] and cross.get_marker() == "+"
     assert legend(ax) == ["truth"]
@@ -233,12 +234,12 @@ def test_lamps_and_shadows_have_the_shadow_of_similar_triangles(ax: Axes) -> Non
 
 # --- whole figures ----------------------------------------------------------------------------------------------
 def box(name: str, x: float, y: float, height: float, hidden: dict[str, float]) -> SimpleNamespace:
-    footprint = [[x + 0.2 * i, y + 0.2 * j] for i, j in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
-    truth = {"label": name, "x": x, "y": y, "footprint": footprint, "hidden_fraction": hidden}
+    footprint = tuple((x + 0.2 * i, y + 0.2 * j) for i, j in ((-1, -1), (1, -1), (1, 1), (-1, 1)))
+    truth = TrueObject(label=name, x=x, y=y, footprint=footprint, hidden_fraction=hidden)
     return SimpleNamespace(height=height, colour=(120, 20, 20), footprint=footprint, truth=truth)
 
 
-Shown = tuple[dict[str, Array], FrameResult, list[dict[str, Any]]]
+Shown = tuple[dict[str, Array], FrameResult, list[TrueObject]]
 
 
 @pytest.fixture
@@ -279,6 +280,7 @@ def test_overview_counts_one_object_in_the_singular_and_takes_one_camera(tiny_ri
     assert fig.get_suptitle() == ""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("picture", "text"), [("none", "no picture"), ("absent", "no picture"), ("dark", "black, not used")]
 )
@@ -306,7 +308,7 @@ def test_figures_of_an_instant_without_a_camera(
     fig = views_and_map(tiny_rig, images, result, truth, **options)
     assert fig.axes[0].get_title() == f"left view: {result.excluded['left']}" and texts(fig.axes[0]) == [text]
     assert fig.axes[2].get_title().startswith("map from right: ")
-    strip = frame_strip(tiny_rig, {3: images}, {3: result}, {"3": truth}, **options)
+    strip = frame_strip(tiny_rig, {3: images}, {3: result}, Truth({3: truth}), **options)
     assert texts(strip.axes[0]) == [text] and texts(strip.axes[1]) == []
     figure_png(fig, dpi=40)
 
@@ -360,12 +362,12 @@ def test_drawing_changes_no_input(tiny_rig: Rig, shown: Shown) -> None:
 def test_a_head_is_covered_and_nothing_else(tiny_rig: Rig) -> None:
     image = np.full((120, 160, 3), 30, np.uint8)
     camera = tiny_rig["left"]
-    covered = cover_heads(image, camera, [{"id": "A", "x": 2.0, "y": 1.5}])
+    covered = cover_heads(image, camera, [TrueObject(id="A", x=2.0, y=1.5)])
     ((x, y),) = np.rint(camera.project([[2.0, 1.5, 1.72]])).astype(int)
     assert (image == 30).all() and (covered[y, x] > 100).all()
     rows, columns = np.nonzero((covered != 30).any(axis=2))
     assert len(rows) < 0.02 * 160 * 120 and abs(columns.mean() - x) < 2
-    assert (cover_heads(image, camera, [{"id": "A", "x": -9.0, "y": 1.5}]) == image).all()  # behind the camera
+    assert (cover_heads(image, camera, [TrueObject(id="A", x=-9.0, y=1.5)]) == image).all()  # behind the camera
 
 
 def test_a_cylinder_is_outlined_where_the_polar_view_shows_it(ax: Axes, tiny_rig: Rig) -> None:

@@ -12,6 +12,7 @@ import yaml
 
 from occlib.calibration import Calibration, save_calibration
 from occlib.geometry import Rig
+from occlib.lens import Lens
 from occlib.matching.measures import METHODS
 from occlib.matching.search import find
 
@@ -25,7 +26,7 @@ def test_a_rig_is_made_as_the_readme_says(tmp_path: Path, monkeypatch: pytest.Mo
     fields = yaml.safe_load(README[README.index("    units: m") :].split("\n\n")[0].replace("...", "null"))
     lens = fields["cameras"]["left"]
     matrix, distortion = np.array(lens["matrix"], float), np.array(lens["distortion"], float)
-    save_calibration("left.yaml", Calibration(tuple(lens["size"]), matrix, distortion, rms_px=0.1, views_used=10))
+    save_calibration("left.yaml", Calibration(tuple(lens["size"]), Lens(matrix, distortion), rms_px=0.1, views_used=10))
     exec(compile(code, "README.md", "exec"), {})
     left = Rig.load("rig.yaml")["left"]
     np.testing.assert_allclose(left.pixels_to_floor([[120, 400], [430, 180]]), [[-1, -1], [1, 1]], atol=1e-6)

@@ -28,7 +28,7 @@ from occlib.base import files as files_module
 from occlib.base.files import encode_image, read_image, read_yaml, staged_folder, write_file, write_image
 from occlib.explaining.appearance import read_templates
 from occlib.geometry import Rig
-from occlib.recordings import check_size, fetch, open_recording, parse_frames
+from occlib.recordings import Footage, check_size, fetch, input_format, open_recording, parse_frames
 
 Array = np.ndarray[Any, Any]
 SIZE = (160, 120)
@@ -391,6 +391,54 @@ def test_a_video_cut_short(tiny_recording: Path) -> None:
     # The header may still promise 20 frames, or the reader may count fewer: either way it must be said.
     with pytest.raises(ValueError, match=r"left.avi: corrupt|views of different length"):
         list(open_recording(tiny_recording).images())
+
+
+def test_an_empty_floor_may_be_a_video(tiny_recording: Path) -> None:
+    shutil.rmtree(tiny_recording / "background/left")
+    save_video(tiny_recording / "background/left.avi", 70)
+    recording = open_recording(tiny_recording)
+    assert recording.without_background == []
+    backgrounds = recording.background_images()
+    assert {name: len(images) for name, images in backgrounds.items()} == {"left": 60, "right": 2}
+    assert backgrounds["left"][0].mean() < backgrounds["left"][3].mean()
+    (tiny_recording / "background/left.avi").unlink()
+    save_video(tiny_recording / "background/left.avi", 2, size=(80, 64))
+    with pytest.raises(ValueError, match=r"background/left.avi: expected uint8 \(120, 160, 3\), got uint8 \(64, 80"):
+        recording.background_images()
+
+
+# --- formats ---------------------------------------------------------------------------------------
+def test_a_format_of_ones_own(tiny_recording: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    whole = dict(open_recording(tiny_recording).images())
+    monkeypatch.setattr(recordings, "FORMATS", dict(recordings.FORMATS))
+
+    @input_format(".npy")
+    def _stack(place: Path) -> Footage | None:
+        path = place.with_name(place.name + ".npy")
+        if not path.is_file():
+            return None
+        stack = np.load(path, mmap_mode="r")
+        return Footage(path, tuple(range(len(stack))), lambda positions: (np.array(stack[i]) for i in positions))
+
+    shutil.rmtree(tiny_recording / "frames/left")
+    with pytest.raises(
+        ValueError, match=r"left' \(expected frames/left/\*.png\|jpg or frames/left.mp4\|avi or .*npy\)"
+    ):
+        open_recording(tiny_recording)
+    np.save(tiny_recording / "frames/left.npy", np.stack([images["left"] for images in whole.values()]))
+    recording = open_recording(tiny_recording)
+    assert recording.frames == (0, 1, 2, 3, 4) and recording.fps == 10
+    for frame, images in recording.images([1, 4]):
+        assert all(np.array_equal(images[name], whole[frame][name]) for name in ("left", "right"))
+
+
+def test_numbers_in_one_view_and_letters_in_the_other_do_not_fit(tiny_recording: Path) -> None:
+    for path in (tiny_recording / "frames/left").iterdir():
+        path.rename(path.with_stem(f"{int(path.stem) + 40}"))
+    for path in (tiny_recording / "frames/right").iterdir():
+        path.rename(path.with_stem("abcde"[int(path.stem)]))
+    with pytest.raises(ValueError, match=r"left has 5 frames \(40 to 44\), right has 5 frames \(0 to 4\)"):
+        open_recording(tiny_recording)
 
 
 # --- which frames ----------------------------------------------------------------------------------

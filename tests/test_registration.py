@@ -13,6 +13,7 @@ from scipy.ndimage import map_coordinates
 
 from occlib.explaining.evidence import PolarWarp
 from occlib.geometry import Camera, Floor, Rig, apply_homography
+from occlib.lens import Lens
 from occlib.registration import (
     FloorWarp,
     registration_error_m,
@@ -39,7 +40,7 @@ def looking(name: str, centre: tuple[float, float, float], target: tuple[float, 
     rotation = np.stack([right, np.cross(forward, right), forward])
     matrix = [[205.0, 0, 161.3], [0, 203.0, 118.4], [0, 0, 1]]
     distortion = lens * np.array([-0.22, 0.06, 0.0015, -0.001, 0.0])
-    return Camera.from_pose(name, SIZE, matrix, distortion, rotation, -rotation @ position)
+    return Camera.from_pose(name, SIZE, Lens(matrix, distortion), rotation, -rotation @ position)
 
 
 LEFT = looking("left", (-3.0, 1.8, 2.5), (1.0, 2.0))

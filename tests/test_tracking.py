@@ -250,7 +250,7 @@ def test_dictionary_is_exactly_the_contract_and_json() -> None:
     (vector,) = Tracker().update([at(1 / 3, -1e-9, label="ball", hidden_in=("cam2", "cam3"))], 0.0)
     assert json.dumps(vector.to_dict()) == (
         '{"id": 1, "x": 0.3333, "y": 0.0, "vx": 0.0, "vy": 0.0, "area": 0.04, "colour": [220, 30, 30], '
-        '"label": "ball", "hidden_in": ["cam2", "cam3"]}'
+        '"label": "ball", "hidden_in": ["cam2", "cam3"], "size": null}'
     )
 
 

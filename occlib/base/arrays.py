@@ -1,4 +1,4 @@
-"""DOC"""
+"""Array types, and points as rows of an array."""
 
 from __future__ import annotations
 
@@ -8,12 +8,10 @@ import numpy as np
 import numpy.typing as npt
 
 FloatArray = npt.NDArray[np.float64]
-
-
 Mask = npt.NDArray[np.bool_]
-
-
+"""A silhouette (H, W), or cells of the floor (ny, nx)."""
 Image = npt.NDArray[Any]
+"""A picture (H, W) or (H, W, 3), or the like on the floor, (ny, nx); mostly uint8, colours RGB."""
 
 
 def as_points(points: npt.ArrayLike, *, dimensions: int = 2, name: str = "points") -> FloatArray:

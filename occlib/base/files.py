@@ -8,8 +8,8 @@ import os
 import shutil
 import tempfile
 import zlib
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -63,23 +63,51 @@ def write_file(path: str | Path, content: bytes | str) -> Path:
     Raises ``ValueError`` in one line when the folder is read-only, missing or the disk is full; nothing
     half-written is left.
     """
+    with writing(path) as write:
+        write(content)
+    return Path(path)
+
+
+@contextmanager
+def writing(path: str | Path) -> Iterator[Callable[[bytes | str], None]]:
+    """What :func:`write_file` does, piece by piece: gives the function that writes the next piece.
+
+    ``path`` stays as it was until the ``with`` block ends well.
+    """
     target = Path(path)
     temporary = None
+    with ExitStack() as closing:
+        try:
+            with _write_errors(target):
+                target.parent.mkdir(parents=True, exist_ok=True)
+                handle, temporary = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.")
+                stream = closing.enter_context(os.fdopen(handle, "wb"))
+
+            def write(content: bytes | str) -> None:
+                with _write_errors(target):
+                    stream.write(content.encode() if isinstance(content, str) else content)
+
+            try:
+                yield write
+            finally:
+                with _write_errors(target):
+                    closing.close()
+            with _write_errors(target):
+                mask = os.umask(0)
+                os.umask(mask)
+                os.chmod(temporary, 0o666 & ~mask)  # mkstemp makes files that only their owner may read
+                os.replace(temporary, target)
+        finally:
+            if temporary and os.path.exists(temporary):
+                os.unlink(temporary)
+
+
+@contextmanager
+def _write_errors(target: Path) -> Iterator[None]:
     try:
-        target.parent.mkdir(parents=True, exist_ok=True)
-        handle, temporary = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.")
-        with os.fdopen(handle, "wb") as stream:
-            stream.write(content.encode() if isinstance(content, str) else content)
-        mask = os.umask(0)
-        os.umask(mask)
-        os.chmod(temporary, 0o666 & ~mask)  # mkstemp makes files that only their owner may read
-        os.replace(temporary, target)
+        yield
     except OSError as error:
         raise ValueError(f"{target}: cannot write ({error.strerror})") from None
-    finally:
-        if temporary and os.path.exists(temporary):
-            os.unlink(temporary)
-    return target
 
 
 @contextmanager

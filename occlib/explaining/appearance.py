@@ -1,32 +1,41 @@
-"""DOC"""
+"""What objects look like: their colour, whether the views agree about it, and which known object they resemble."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from itertools import combinations
-from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
 from occlib.base.arrays import FloatArray, Image, Mask, as_points
-from occlib.base.files import read_image
 from occlib.explaining.cylinders import Cylinder
 from occlib.geometry import Rig
 from occlib.matching.search import similarity
 
+AXIS_SHARES = (0.3, 0.4, 0.5, 0.6, 0.7)
+"""Shares of an object's height at which its colour is read, clear of the floor and of what is seen beyond its top."""
+
+MIN_SIDE_PX = 4
+"""A template of fewer px, as it is or resized, says nothing."""
+
+SCALES = np.array([0.8, 0.9, 1.0, 1.1, 1.25])
+"""Sizes tried of a template, over the height of the object's picture."""
+
+RING = 24
+"""Points on each rim of a cylinder of which its box in a picture is made."""
+
 
 def axis_colours(points_m: npt.ArrayLike, heights: npt.ArrayLike, images: Mapping[str, Image], rig: Rig) -> FloatArray:
-    """The mean colour that each view shows along the axes of upright things.
+    """The mean colour that each view shows along the axes of upright objects.
 
     Parameters
     ----------
     points_m
         Floor points (N, 2) in m.
     heights
-        Of the things, (N,) or a number, in m; looked at from 0.3 to 0.7 of it.
+        Of the objects, (N,) or a number, in m; looked at from 0.3 to 0.7 of it.
     images
         ``{camera: uint8 RGB (H, W, 3)}``.
     rig
@@ -36,7 +45,7 @@ def axis_colours(points_m: npt.ArrayLike, heights: npt.ArrayLike, images: Mappin
     -------
     Shape (views, N, 3) in grey levels; NaN where a view does not see the axis.
     """
-    points, shares = as_points(points_m), np.array([0.3, 0.4, 0.5, 0.6, 0.7])
+    points, shares = as_points(points_m), np.array(AXIS_SHARES)
     tall = np.broadcast_to(np.asarray(heights, dtype=np.float64), len(points))
     colours = np.full((len(images), len(points), 3), np.nan)
     for k, (name, image) in enumerate(images.items()):
@@ -53,8 +62,8 @@ def colour_agreement(
 ) -> FloatArray:
     """How much the views disagree about the colour of what may stand at a place: a ghost test.
 
-    All views show the same thing at an object that no other hides. At a ghost each view shows another object, the one that
-    casts its shadow there.
+    All views show the same colour at an object that no other hides. At a ghost each view shows another object, the one
+    that casts its shadow there.
 
     Parameters
     ----------
@@ -63,8 +72,8 @@ def colour_agreement(
 
     Returns
     -------
-    Shape (N,): the largest distance between the colours of two views in grey levels, 0 to 442, lower is more alike; NaN where
-    fewer than two views see the axis.
+    Shape (N,): the largest distance between the colours of two views in grey levels, 0 to 442, lower is
+    more alike; NaN where fewer than two views see the axis.
 
     Raises
     ------
@@ -87,30 +96,12 @@ def colour_agreement(
     return np.where(largest < 0, np.nan, largest)
 
 
-LIKENESS, DISTINCT = 38.0, 1.1
-"""Mean absolute difference, in grey levels, up to which an object resembles a template, and by how much another must be worse."""
-
-
-def _template(label: str, picture: Any) -> tuple[Image, Mask | None]:
-    """A template's colours and the pixels that count."""
-    picture = np.asarray(picture)
-    if picture.dtype != np.uint8 or picture.ndim != 3 or picture.shape[2] not in (3, 4) or min(picture.shape[:2]) < 4:
-        raise ValueError(
-            f"templates[{label!r}]: expected uint8 RGB or RGBA of 4 x 4 px or more, got {picture.dtype} {picture.shape}"
-        )
-    if picture.shape[2] == 3:
-        return picture, None
-    if not (picture[..., 3] > 127).any():
-        raise ValueError(f"templates[{label!r}]: expected pixels that are more opaque than not, got none")
-    return np.ascontiguousarray(picture[..., :3]), picture[..., 3] > 127
-
-
 def _likeness(window: Image, picture: Image, mask: Mask | None, height: int) -> float:
-    """Least mean absolute difference of a template, resized to about ``height``, in a window; infinite if it does not fit."""
+    """Least mean absolute difference of a template, about ``height`` px high, in a window; infinite if it fits nowhere."""
     best = np.inf
-    for scale in height / len(picture) * np.array([0.8, 0.9, 1.0, 1.1, 1.25]):
+    for scale in height / len(picture) * SCALES:
         size = tuple(round(float(scale * side)) for side in picture.shape[1::-1])
-        if 4 <= min(size) and size[0] <= window.shape[1] and size[1] <= window.shape[0]:
+        if MIN_SIDE_PX <= min(size) and size[0] <= window.shape[1] and size[1] <= window.shape[0]:
             resized = cv2.resize(picture, size, interpolation=cv2.INTER_AREA)
             used = None if mask is None else cv2.resize(mask.view(np.uint8), size).astype(bool)
             if used is None or used.any():
@@ -118,23 +109,11 @@ def _likeness(window: Image, picture: Image, mask: Mask | None, height: int) -> 
     return best
 
 
-def _box(thing: Cylinder, rig: Rig, name: str) -> tuple[int, int, int, int]:
+def _box(cylinder: Cylinder, rig: Rig, name: str) -> tuple[int, int, int, int]:
     """Left, top, right and bottom of an object in a view, in whole px; it may reach beyond the picture."""
-    turn = np.linspace(0, 2 * np.pi, 24, endpoint=False)
-    ring = np.column_stack([thing.x + thing.radius * np.cos(turn), thing.y + thing.radius * np.sin(turn)])
-    points = rig[name].project(np.vstack([np.column_stack([ring, np.full(24, z)]) for z in (0.0, thing.height)]))
+    turn = np.linspace(0, 2 * np.pi, RING, endpoint=False)
+    ring = np.column_stack([cylinder.x + cylinder.radius * np.cos(turn), cylinder.y + cylinder.radius * np.sin(turn)])
+    points = rig[name].project(np.vstack([np.column_stack([ring, np.full(RING, z)]) for z in (0.0, cylinder.height)]))
     left, top = np.floor(points.min(axis=0)).astype(int).tolist()
     right, bottom = np.ceil(points.max(axis=0)).astype(int).tolist()
     return left, top, right, bottom
-
-
-def read_templates(folder: str | Path) -> dict[str, Image]:
-    """Pictures of known objects, ``LABEL.png``: ``{label: uint8 RGBA (H, W, 4)}``; what is transparent does not count."""
-    templates = {}
-    for path in sorted(Path(folder).glob("*.png")):
-        picture = read_image(path, alpha=True)
-        opaque = np.full((*picture.shape[:2], 1), 255, np.uint8)
-        templates[path.stem] = picture if picture.shape[2] == 4 else np.dstack([picture, opaque])
-    if not templates:
-        raise ValueError(f"{folder}: expected pictures named LABEL.png, found none")
-    return templates

@@ -1,11 +1,15 @@
-"""DOC"""
+"""Polar views: what each camera says about foreground, by azimuth and angle of depression about its station.
+
+A vertical line of the world, whatever its distance, is a vertical line of the polar view; what stands upright covers in
+each column one run of rows. Such runs are known as stixels (Badino et al. 2009, doi:10.1007/978-3-642-03798-6_6).
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -13,7 +17,53 @@ import numpy.typing as npt
 from occlib.base.arrays import FloatArray, Image, Mask
 from occlib.base.kernels import compiled
 from occlib.geometry import Camera, Floor
-from occlib.registration import _Warp
+from occlib.registration import ImageWarp
+
+REFERENCE_STEP_RAD = 0.0045
+"""Angle between two px of a VGA camera with a field of view of 70 degrees: a sample of this step weighs 1."""
+
+ABOVE_HORIZON_RAD = 0.5
+"""How far above the horizon a polar view reaches at most, in rad: nothing on the floor that could matter is higher."""
+
+GRID = (65, 49)
+"""Columns and rows of a grid of px whose rays tell which angles a picture spans; its rim would do but for the lens."""
+
+
+class PolarView(NamedTuple):
+    """Where a polar view's samples lie: its camera's station and its angles; a row of :attr:`PolarEvidence.views`.
+
+    Parameters
+    ----------
+    x, y, height
+        The camera's station, in m.
+    middle
+        Azimuth of the middle of the floor from there, in rad.
+    left
+        Azimuth of column 0 relative to ``middle``, in rad.
+    top
+        Angle of depression of row 0, in rad; negative above the horizon.
+    step
+        Angle between neighbouring columns, and rows, in rad.
+    weight
+        Of a sample: its solid angle over that of a sample of :data:`REFERENCE_STEP_RAD`.
+    """
+
+    x: float
+    y: float
+    height: float
+    middle: float
+    left: float
+    top: float
+    step: float
+    weight: float
+
+
+@compiled
+def view_at(views: Any, k: int) -> Any:
+    """Row ``k`` of an array of views, float64 (K, 8), as a :class:`PolarView`."""
+    return PolarView(
+        views[k, 0], views[k, 1], views[k, 2], views[k, 3], views[k, 4], views[k, 5], views[k, 6], views[k, 7]
+    )
 
 
 @dataclass(frozen=True)
@@ -23,7 +73,7 @@ class PolarEvidence:
     Parameters
     ----------
     views
-        float64 (K, 8), from :attr:`occlib.explaining.evidence.PolarWarp.parameters`.
+        float64 (K, 8), each row a :class:`PolarView`, see :attr:`PolarWarp.parameters`.
     sizes
         int64 (K, 2), columns and rows of each view.
     weights
@@ -43,16 +93,17 @@ class PolarEvidence:
             raise ValueError(f"weights: expected int32 (K, rows, columns), got {self.weights.dtype} {shape}")
         if self.seen.shape != shape or self.seen.dtype != np.bool_:
             raise ValueError(f"seen: expected bool {shape}, got {self.seen.dtype} {self.seen.shape}")
-        if self.views.shape != (shape[0], 8) or not np.isfinite(self.views).all():
-            raise ValueError(f"views: expected {(shape[0], 8)} finite numbers, got {self.views.shape}")
+        if self.views.shape != (shape[0], len(PolarView._fields)) or not np.isfinite(self.views).all():
+            expected = (shape[0], len(PolarView._fields))
+            raise ValueError(f"views: expected {expected} finite numbers, got {self.views.shape}")
         if self.sizes.shape != (shape[0], 2) or not ((self.sizes >= 0) & (self.sizes <= shape[:0:-1])).all():
             raise ValueError(
                 f"sizes: expected {shape[0]} times columns, rows up to {shape[:0:-1]}, got {self.sizes.tolist()}"
             )
 
     @classmethod
-    def of(cls, views: Sequence[tuple[FloatArray, Image, Mask]]) -> PolarEvidence:
-        """Views of different size side by side: for each its parameters, weights and samples seen, (rows, columns) each."""
+    def of(cls, views: Sequence[tuple[PolarView, Image, Mask]]) -> PolarEvidence:
+        """Views of different size side by side: each its parameters, and its weights and samples seen, (rows, columns)."""
         sizes = np.array([seen.shape[::-1] for _, _, seen in views], np.int64)
         columns, rows = sizes.max(axis=0)
         weights, seen = np.zeros((len(views), rows, columns), np.int32), np.zeros((len(views), rows, columns), bool)
@@ -88,12 +139,8 @@ def _accumulate(values: Any, sums: Any) -> None:
 
 
 @dataclass(frozen=True)
-class PolarWarp(_Warp):
+class PolarWarp(ImageWarp):
     """Takes a camera's images to its polar view: a column is an azimuth about the camera, a row an angle of depression.
-
-    A vertical line of the world, whatever its distance, is a vertical line of the polar view: an upright object covers in
-    each column one run of rows, from the near edge of its base (below) to the far edge of its top. Such runs are known as
-    stixels (Badino et al. 2009, doi:10.1007/978-3-642-03798-6_6).
 
     Parameters
     ----------
@@ -116,15 +163,13 @@ class PolarWarp(_Warp):
     def _ranges(self) -> tuple[float, float, float, float, float]:
         """Azimuth of the floor's middle; azimuths relative to it and depressions that the picture spans, in rad."""
         width, height = self.camera.size
-        u, v = np.meshgrid(np.linspace(0, width - 1, 65), np.linspace(0, height - 1, 49))
-        ideal = self.camera.undistort_points(np.column_stack([u.ravel(), v.ravel()]))
-        ideal = (ideal - self.camera.matrix[:2, 2]) / self.camera.matrix[[0, 1], [0, 1]]
-        rays = np.column_stack([ideal, np.ones(len(ideal))]) @ self.camera.pose[0]
+        u, v = np.meshgrid(np.linspace(0, width - 1, GRID[0]), np.linspace(0, height - 1, GRID[1]))
+        rays = self.camera.rays(np.column_stack([u.ravel(), v.ravel()]))
         to_middle = np.array([np.mean(self.floor.x), np.mean(self.floor.y)]) - self.camera.centre_m[:2]
         middle = float(np.arctan2(to_middle[1], to_middle[0]))
         azimuth = (np.arctan2(rays[:, 1], rays[:, 0]) - middle + np.pi) % (2 * np.pi) - np.pi
         depression = np.arctan2(-rays[:, 2], np.hypot(rays[:, 0], rays[:, 1]))
-        return middle, azimuth.min(), azimuth.max(), max(depression.min(), -0.5), depression.max()
+        return middle, azimuth.min(), azimuth.max(), max(depression.min(), -ABOVE_HORIZON_RAD), depression.max()
 
     @cached_property
     def shape(self) -> tuple[int, int]:
@@ -133,12 +178,11 @@ class PolarWarp(_Warp):
         return int(np.ceil((bottom - top) / self.step)) + 1, int(np.ceil((right - left) / self.step)) + 1
 
     @cached_property
-    def parameters(self) -> FloatArray:
-        """Station x, y and height in m, azimuth of the middle, of column 0 relative to it, depression of row 0, step in rad,
-        and the weight of a sample: its solid angle over that of a px of a VGA camera of 70 degrees, squared steps of 4.5 mrad.
-        """
+    def parameters(self) -> PolarView:
+        """The view's station and angles."""
         middle, left, _, top, _ = self._ranges
-        return np.array([*self.camera.centre_m, middle, left, top, self.step, (self.step / 0.0045) ** 2])
+        weight = (self.step / REFERENCE_STEP_RAD) ** 2
+        return PolarView(*map(float, [*self.camera.centre_m, middle, left, top, self.step, weight]))
 
     @cached_property
     def pixels(self) -> FloatArray:

@@ -1,8 +1,14 @@
-"""DOC"""
+"""From the views of one instant to the objects that explain them: the finder beyond AND.
+
+Each view's evidence becomes a polar view (:class:`occlib.explaining.evidence.PolarWarp`); places where something may
+stand are looked for on planes above the floor; then the fewest cylinders that explain all views are searched,
+:func:`occlib.explaining.search.explain`.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from itertools import combinations
 
 import cv2
@@ -10,71 +16,286 @@ import numpy as np
 import numpy.typing as npt
 
 from occlib.base.arrays import FloatArray, Image, Mask
+from occlib.explaining.appearance import _box, _likeness, axis_colours
 from occlib.explaining.cylinders import Cylinder
 from occlib.explaining.evidence import PolarEvidence, PolarWarp
+from occlib.explaining.feet import standing_points
 from occlib.explaining.hiding import occlusion_state
-from occlib.explaining.search import DEFAULT, Explanation, explain
+from occlib.explaining.search import DEFAULT, ExplainSettings, explain
+from occlib.finding import FloorViews, Found, Instant, hidden_in, visible_shares
 from occlib.foreground.background import Background
-from occlib.foreground.shadows import SURE
+from occlib.foreground.evidence import Evidence
+from occlib.foreground.intensity import adjust_intensity
 from occlib.geometry import Floor, Rig
+from occlib.identification import opaque_part
 from occlib.registration import FloorWarp
+from occlib.tracking import Observation
+
+REFERENCE_WIDTH_PX = 640
+"""A picture of fewer px a row is sampled finer in proportion: the objects in it are as large."""
+CLOSE_M, CLOSE_SHARE = 0.05, 0.25
+"""Evidence this far beyond a cylinder's rim, in m and as a share of its radius, still belongs to the object's footprint."""
 
 
-class MaskExplainer:
-    """Explains away with masks alone: ``{camera: mask}`` to cylinders, :func:`occlib.explaining.search.explain`.
+@dataclass(frozen=True)
+class Explaining:
+    """Settings of :class:`ExplainingFinder`: objects are upright cylinders that explain all silhouettes.
+
+    Parameters
+    ----------
+    search
+        Cost and limits of the search.
+    step_px
+        Angle between two samples of a polar view, in px of a picture at least 640 px wide, at its middle.
+    planes_m
+        Heights in m at which something that stands is looked for: where feet are hidden, the body still places it.
+    spare
+        So many views may miss an object: it is looked for where all but ``spare`` of them have foreground, but in two at least.
+    dark_level, light_level
+        Grey levels: what is no darker than the floor there speaks against an object, fully where the floor is brighter than
+        ``light_level`` and hardly where it is darker than ``dark_level``: a dark floor looks like a dark object.
+    least_certainty
+        Share of its weight that background keeps on the darkest floor.
+    hidden
+        An object is *hidden* in a view from this estimated fraction on; cylinders lose a little of what still sticks out.
+    rim_m
+        What a sharp silhouette may lack of an object's rim on the floor, in m.
+    likeness
+        Mean absolute difference in grey levels up to which an object resembles a template.
+    distinct
+        By how much, as a factor, every other template must be less alike.
+    plain
+        An object is compared with the templates in a view that hides less than this fraction of it.
+    """
+
+    search: ExplainSettings = DEFAULT
+    step_px: float = 3.0
+    planes_m: tuple[float, ...] = (0.0, 0.1, 0.3, 0.6, 1.0, 1.4)
+    spare: int = 0
+    dark_level: float = 40.0
+    light_level: float = 100.0
+    least_certainty: float = 0.05
+    hidden: float = 0.96
+    rim_m: float = 0.02
+    likeness: float = 38.0
+    distinct: float = 1.1
+    plain: float = 0.2
+
+    rule = "explain"
+
+    def __post_init__(self) -> None:
+        if not (self.step_px > 0 and self.planes_m and min(self.planes_m) >= 0):
+            raise ValueError(
+                f"step_px, planes_m: expected px > 0 and heights >= 0 m, got {self.step_px}, {self.planes_m}"
+            )
+        if not (self.spare >= 0 and self.dark_level < self.light_level):
+            raise ValueError(
+                f"spare, dark_level: expected views >= 0 and levels below light_level, got {self.spare}, {self.dark_level}"
+            )
+
+    def build(
+        self, floor_views: FloorViews, backgrounds: Mapping[str, Background], templates: Mapping[str, Image]
+    ) -> ExplainingFinder:
+        """The finder with these settings."""
+        return ExplainingFinder(floor_views, self, backgrounds, templates)
+
+
+class Explainer:
+    """Turns the views' evidence into the cylinders that explain it.
 
     Parameters
     ----------
     rig
         The cameras.
-    how
-        Thresholds of the explanation.
-    step_rad
-        Angle between two samples of the polar views.
-    planes_m
-        Heights at which something that stands is looked for, in m.
-    spare
-        So many views may miss an object: it is looked for where all but ``spare`` of them have foreground, but in two at
-        least. 0 is what :func:`occlib.explaining.explainer.standing_places` does.
+    settings
+        Of the polar views and the search.
+    backgrounds
+        Each camera's empty floor, which tells how much its background is worth; all the same without.
+
+    Examples
+    --------
+    >>> from occlib.recordings import LAB
+    >>> rig = Rig.load(LAB / "robot" / "rig.yaml")
+    >>> nothing = {name: Evidence.of_mask(np.zeros((480, 640), bool)) for name in rig.cameras}
+    >>> Explainer(rig).explain(nothing)
+    []
+    """
+
+    def __init__(
+        self, rig: Rig, settings: Explaining = Explaining(), backgrounds: Mapping[str, Background] | None = None
+    ) -> None:
+        self.rig, self.settings = rig, settings
+        self.warps = {
+            name: PolarWarp(camera, rig.floor, settings.step_px * min(1.0, camera.size[0] / REFERENCE_WIDTH_PX))
+            for name, camera in rig.cameras.items()
+        }
+        self._certainty = {
+            name: self._certain(name, None if backgrounds is None else backgrounds[name]) for name in rig.cameras
+        }
+        self._coarse = Floor(rig.floor.x, rig.floor.y, max(settings.search.grid_m, rig.floor.resolution))
+        self._planes = {
+            name: [FloorWarp(camera, self._coarse, height) for height in settings.planes_m]
+            for name, camera in rig.cameras.items()
+        }
+        self._visible = {name: np.stack([plane.visible for plane in planes]) for name, planes in self._planes.items()}
+
+    def _certain(self, name: str, background: Background | None) -> npt.NDArray[np.float32] | np.float32:
+        """How much each sample weighs where it says background."""
+        whole = self.settings.search.background
+        if background is None:
+            return np.float32(whole)
+        levels = self.warps[name].warp(cv2.GaussianBlur(background.image, (9, 9), 0)).mean(axis=2)
+        dark, light = self.settings.dark_level, self.settings.light_level
+        share = np.clip((levels - dark) / (light - dark), self.settings.least_certainty, 1)
+        return (share * whole).astype(np.float32)
+
+    def polar(self, evidence: Mapping[str, Evidence]) -> PolarEvidence:
+        """The polar views of an instant; a camera without evidence says nothing."""
+        views = []
+        for name, warp in self.warps.items():
+            if name in evidence:
+                weights = evidence[name].weights()[warp.warp(evidence[name].values)]
+                weights = np.where(weights > 0, weights, weights * self._certainty[name]) * warp.visible
+                views.append((warp.parameters, weights.astype(np.int32), warp.visible))
+            else:
+                views.append((warp.parameters, np.zeros(warp.shape, np.int32), np.zeros(warp.shape, bool)))
+        return PolarEvidence.of(views)
+
+    def places(self, evidence: Mapping[str, Evidence]) -> FloatArray:
+        """Floor points (N, 2) in m where something may stand."""
+        fewest = min(2, len(self.warps))
+        votes = {
+            name: np.stack([plane.warp(values) > level for plane in self._planes[name]])
+            for name, (values, _, level, _) in evidence.items()
+        }
+        found = [
+            standing_places(
+                [votes[n] for n in team], [self._visible[n] for n in team], self._coarse, level=0, views=fewest
+            )
+            for team in combinations(evidence, max(min(fewest, len(evidence)), len(evidence) - self.settings.spare))
+        ]
+        return found[0] if len(found) == 1 else np.unique(np.vstack(found), axis=0)
+
+    def explain(
+        self, evidence: Mapping[str, Evidence], previous: Sequence[Cylinder] = (), *, polar: PolarEvidence | None = None
+    ) -> list[Cylinder]:
+        """The cylinders that explain one instant.
+
+        Parameters
+        ----------
+        evidence
+            Of each camera that can be trusted.
+        previous
+            The cylinders of the last instant, a second start of the search.
+        polar
+            What :meth:`polar` makes of the evidence, where that is known already.
+        """
+        if not evidence:
+            return []
+        polar = self.polar(evidence) if polar is None else polar
+        return explain(polar, self.places(evidence), previous=previous, settings=self.settings.search)
+
+
+class ExplainingFinder:
+    """Objects as the cylinders that explain the silhouettes of all views, from one instant to the next.
+
+    Parameters
+    ----------
+    floor_views
+        The cameras on the floor.
+    settings
+        Of the search and of what is said about objects.
+    backgrounds
+        Each camera's empty floor.
+    templates
+        Pictures of known objects by label.
+
+    Attributes
+    ----------
+    cylinders
+        Those of the last instant.
     """
 
     def __init__(
         self,
-        rig: Rig,
-        how: Explanation = DEFAULT,
-        *,
-        step_rad: float = 0.0045,
-        planes_m: Sequence[float] = (0.0, 0.1, 0.3),
-        spare: int = 0,
+        floor_views: FloorViews,
+        settings: Explaining,
+        backgrounds: Mapping[str, Background],
+        templates: Mapping[str, Image],
     ) -> None:
-        self.how, self.spare = how, spare
-        self._polar = {n: PolarWarp(c, rig.floor, step_rad * float(c.matrix[0, 0])) for n, c in rig.cameras.items()}
-        self._coarse = Floor(rig.floor.x, rig.floor.y, max(how.grid_m, rig.floor.resolution))
-        self._planes = {n: [FloorWarp(c, self._coarse, z) for z in planes_m] for n, c in rig.cameras.items()}
-        self._visible = {n: np.stack([plane.visible for plane in planes]) for n, planes in self._planes.items()}
+        self.floor_views, self.settings, self.backgrounds = floor_views, settings, backgrounds
+        self.explainer = Explainer(floor_views.rig, settings, backgrounds)
+        self.templates = {label: opaque_part(label, picture) for label, picture in templates.items()}
+        self.cylinders: list[Cylinder] = []
+        side = 2 * round(settings.rim_m / floor_views.floor.resolution) + 1
+        self._rim = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side))
 
-    def explain(self, masks: Mapping[str, Mask], before: Sequence[Cylinder] = ()) -> list[Cylinder]:
-        """The cylinders that explain the masks of one instant, ``{camera: bool (H, W)}``; ``before``: those of the last."""
-        views = []
-        for name, mask in masks.items():
-            warp = self._polar[name]
-            share = warp.warp(np.where(mask, np.uint8(255), np.uint8(0))).astype(np.float64) / 255
-            signed = np.where(share > 0.5, 255 * (2 * share - 1), 255 * self.how.background * (2 * share - 1))
-            views.append((warp.parameters, np.rint(signed * warp.visible).astype(np.int32), warp.visible))
-        votes = {name: np.stack([plane.warp(mask) for plane in self._planes[name]]) for name, mask in masks.items()}
-        standing = np.unique(
-            np.vstack(
-                [
-                    standing_places(
-                        [votes[n] for n in team], [self._visible[n] for n in team], self._coarse, level=0, views=fewest
-                    )
-                    for fewest in [min(2, len(masks))]
-                    for team in combinations(masks, max(fewest, len(masks) - self.spare))
-                ]
-            ),
-            axis=0,
+    def find(self, instant: Instant) -> Found:
+        """Explain, place, measure."""
+        floor, images = self.floor_views.floor, instant.images
+        polar = self.explainer.polar(instant.evidence)
+        cylinders = self.cylinders = self.explainer.explain(instant.evidence, self.cylinders, polar=polar)
+        occupied = self.floor_views.fuse(instant.views, "and")
+        points = standing_points(polar, cylinders).tolist()
+        standing = [cylinder._replace(x=x, y=y) for cylinder, (x, y) in zip(cylinders, points, strict=True)]
+        labels = footprints(standing, self._near(occupied, instant), floor)
+        hidden, by = self._hidden(polar, instant)
+        areas = np.bincount(labels.ravel(), minlength=len(cylinders) + 1)[1:] * floor.cell_area
+        observations = [
+            Observation(
+                (cylinder.x, cylinder.y),
+                float(areas[i]),
+                self._colour(cylinders[i], hidden[i], images),
+                hidden_in=hidden_in(hidden[i], images, self.settings.hidden),
+                visible=visible_shares(hidden[i], images),
+            )
+            for i, cylinder in enumerate(standing)
+        ]
+        identify = (lambda i: self._identify(cylinders[i], hidden[i], images)) if self.templates else None
+        return Found(occupied, labels, observations, hidden, by, identify)
+
+    def _near(self, occupied: Mask, instant: Instant) -> Mask:
+        """Cells that count as an object's where they are near it: any soft evidence, as a dark rim must not pass for shadow."""
+        if not all(evidence.soft for evidence in instant.evidence.values()):
+            return occupied
+        near = self.floor_views.fuse(instant.above(dict.fromkeys(instant.evidence, 0)), "and")
+        return cv2.dilate(near.view(np.uint8), self._rim).view(np.bool_)
+
+    def _hidden(self, polar: PolarEvidence, instant: Instant) -> tuple[FloatArray, npt.NDArray[np.int64]]:
+        """Hidden fractions of the objects, (n, cameras), and what hides them."""
+        fractions, by = occlusion_state(polar, self.cylinders)
+        chosen = [list(self.explainer.warps).index(name) for name in instant.images]
+        return fractions[:, chosen], by[:, chosen]
+
+    def _colour(self, cylinder: Cylinder, hidden: FloatArray, images: Mapping[str, Image]) -> tuple[int, int, int]:
+        """Mean colour along an object's axis, in the view that sees most of it."""
+        best = list(images)[_least_hidden(hidden)]
+        seen = axis_colours([(cylinder.x, cylinder.y)], cylinder.height, {best: images[best]}, self.floor_views.rig)
+        r, g, b = np.nan_to_num(seen[0, 0])
+        return round(float(r)), round(float(g)), round(float(b))
+
+    def _identify(self, cylinder: Cylinder, hidden: FloatArray, images: Mapping[str, Image]) -> str | None:
+        """The template that an object clearly resembles most in the view that sees it best."""
+        least = _least_hidden(hidden)
+        if not hidden[least] < self.settings.plain:
+            return None
+        name = list(images)[least]
+        left, top, right, bottom = _box(cylinder, self.floor_views.rig, name)
+        width, height = right - left, bottom - top
+        rows, columns = (
+            slice(max(low - s // 4, 0), max(low + s + s // 4, 0)) for low, s in ((top, height), (left, width))
         )
-        return explain(PolarEvidence.of(views), standing, before=before, how=self.how)
+        window = adjust_intensity(images[name], self.backgrounds[name].image)[rows, columns]
+        scores = {label: _likeness(window, *template, height) for label, template in self.templates.items()}
+        best = min(scores, key=lambda label: scores[label])
+        others = [score for label, score in scores.items() if label != best]
+        alike = scores[best] <= self.settings.likeness
+        return best if alike and all(score >= self.settings.distinct * scores[best] for score in others) else None
+
+
+def _least_hidden(hidden: FloatArray) -> int:
+    """The view that sees most of an object; one that does not view it at all comes last."""
+    return int(np.argmin(np.nan_to_num(hidden, nan=2.0)))
 
 
 def standing_places(
@@ -100,72 +321,10 @@ def standing_places(
     votes = np.logical_and.reduce([~seen | (e > level) for e, seen in zip(evidence, visible, strict=True)])
     votes &= np.sum(visible, axis=0) >= views
     iy, ix = np.nonzero(votes.any(axis=0))
-    return np.column_stack([floor.x[0] + (ix + 0.5) * floor.resolution, floor.y[0] + (iy + 0.5) * floor.resolution])
+    return floor.points(np.column_stack([ix, iy]))
 
 
-HIDDEN_ESTIMATE = 0.96
-"""The same for the estimate from cylinders, which lose a little of what still sticks out."""
-
-
-PLANES_M = (0.0, 0.1, 0.3, 0.6, 1.0, 1.4)
-"""Heights at which something that stands is looked for: where feet are hidden, the body still places it."""
-
-
-class _Explainer:
-    """Turns the views' evidence into polar views, and keeps the last instant's objects."""
-
-    def __init__(self, rig: Rig, backgrounds: Mapping[str, Background], how: Explanation = DEFAULT) -> None:
-        self.how, self.before = how, list[Cylinder]()
-        # a picture of fewer px is sampled finer: the objects are as large
-        self.polar = {n: PolarWarp(c, rig.floor, 3.0 * min(1.0, c.size[0] / 640)) for n, c in rig.cameras.items()}
-        # a dark background says little against a dark object
-        light = {
-            n: w.warp(cv2.GaussianBlur(backgrounds[n].image, (9, 9), 0)).mean(axis=2) for n, w in self.polar.items()
-        }
-        self.certain = {
-            n: (np.clip((l - 40) / 60, 0.05, 1) * how.background).astype(np.float32) for n, l in light.items()
-        }
-        self.coarse = Floor(rig.floor.x, rig.floor.y, max(how.grid_m, rig.floor.resolution))
-        self.planes = {n: [FloorWarp(c, self.coarse, h) for h in PLANES_M] for n, c in rig.cameras.items()}
-        self.visible = {n: np.stack([plane.visible for plane in planes]) for n, planes in self.planes.items()}
-
-    def explain(self, evidence: Mapping[str, tuple[Image, int]]) -> list[Cylinder]:
-        """The objects of this instant from each camera's evidence and the level above which it is foreground."""
-        views = []
-        for name, warp in self.polar.items():
-            if name in evidence:
-                picture, level = evidence[name]
-                soft = _weights(level)[warp.warp(picture)]
-                soft = np.where(soft > 0, soft, soft * self.certain[name]) * warp.visible
-                views.append((warp.parameters, soft.astype(np.int32), warp.visible))
-            else:
-                views.append((warp.parameters, np.zeros(warp.shape, np.int32), np.zeros(warp.shape, bool)))
-        self.evidence = PolarEvidence.of(views)
-        if evidence:
-            votes = [
-                np.stack([plane.warp(e) > at for plane in self.planes[name]]) for name, (e, at) in evidence.items()
-            ]
-            visible = [self.visible[name] for name in evidence]
-            places = standing_places(votes, visible, self.coarse, level=0, views=min(2, len(self.polar)))
-            self.before = explain(self.evidence, places, before=self.before, how=self.how)
-        else:
-            self.before = []
-        return self.before
-
-    def state(self, cameras: Iterable[str]) -> tuple[FloatArray, npt.NDArray[np.int64]]:
-        """Hidden fractions of the objects, (n, cameras), and what hides them."""
-        fractions, by = occlusion_state(self.evidence, self.before)
-        chosen = [list(self.polar).index(name) for name in cameras]
-        return fractions[:, chosen], by[:, chosen]
-
-
-def _weights(level: int) -> npt.NDArray[np.float32]:
-    """Evidence 0 to 255 to weights -255 to 255, 0 at the level: straight for soft evidence, steep for a difference."""
-    steep = 255 / 127.5 if level == SURE - 1 else 2.5 * 255 / max(level, 1)
-    return np.clip((np.arange(256) - (level + 0.5)) * steep, -255, 255).astype(np.float32)
-
-
-def footprints(things: Sequence[Cylinder], occupied: Mask, floor: Floor) -> npt.NDArray[np.int32]:
+def footprints(cylinders: Sequence[Cylinder], occupied: Mask, floor: Floor) -> npt.NDArray[np.int32]:
     """The cells of each object: those under the cylinder, and evidence within a quarter radius + 5 cm of it.
 
     Returns
@@ -173,15 +332,14 @@ def footprints(things: Sequence[Cylinder], occupied: Mask, floor: Floor) -> npt.
     int32 (ny, nx): 0, or the object's index plus 1; a cell between two belongs to the nearer rim.
     """
     labels, nearest = np.zeros(floor.shape, np.int32), np.full(floor.shape, np.inf, np.float32)
-    for number, thing in enumerate(things, start=1):
-        spare = 0.05 + 0.25 * thing.radius
-        reach = thing.radius + spare
-        low, high = floor.cells([[thing.x - reach, thing.y - reach], [thing.x + reach, thing.y + reach]])
+    for number, cylinder in enumerate(cylinders, start=1):
+        spare = CLOSE_M + CLOSE_SHARE * cylinder.radius
+        reach = cylinder.radius + spare
+        low, high = floor.cells([[cylinder.x - reach, cylinder.y - reach], [cylinder.x + reach, cylinder.y + reach]])
         (x0, y0), (x1, y1) = (np.clip(corner, 0, floor.shape[::-1]).astype(int) for corner in (low, high + 2))
         iy, ix = np.mgrid[y0:y1, x0:x1]
-        x = floor.x[0] + (ix + 0.5) * floor.resolution
-        y = floor.y[0] + (iy + 0.5) * floor.resolution
-        rim = (np.hypot(x - thing.x, y - thing.y) - thing.radius).astype(np.float32)
+        x, y = np.moveaxis(floor.points(np.stack([ix, iy], axis=-1)), -1, 0)
+        rim = (np.hypot(x - cylinder.x, y - cylinder.y) - cylinder.radius).astype(np.float32)
         mine = (rim < nearest[iy, ix]) & ((rim <= 0) | ((rim <= spare) & occupied[iy, ix]))
         nearest[iy[mine], ix[mine]] = rim[mine]
         labels[iy[mine], ix[mine]] = number

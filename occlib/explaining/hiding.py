@@ -1,4 +1,4 @@
-"""DOC"""
+"""Who hides whom: the share of each object's silhouette that nearer objects cover, in each view."""
 
 from __future__ import annotations
 
@@ -10,53 +10,61 @@ import numpy.typing as npt
 
 from occlib.base.arrays import FloatArray
 from occlib.base.kernels import compiled
-from occlib.explaining.cylinders import Cylinder, _as_array, room_for_runs, silhouette
-from occlib.explaining.evidence import PolarEvidence
+from occlib.explaining.cylinders import Cylinder, as_array, cylinder_at, silhouette
+from occlib.explaining.evidence import PolarEvidence, view_at
 
 
 @compiled
-def _hidden(views: Any, sizes: Any, seen: Any, things: Any, out: Any, by: Any) -> None:
-    runs = room_for_runs(seen.shape[2])
+def _cover_seen(seen_sums: Any, own: Any, other: Any, covered: Any) -> int:
+    """Mark in ``covered``, bool (columns of ``own``, rows), the samples seen that both silhouettes hold; their number."""
+    count = 0
+    first, last = max(own.first, other.first), min(own.first + len(own.low), other.first + len(other.low))
+    for column in range(first, last):
+        i, j = column - own.first, column - other.first
+        for row in range(max(own.low[i], other.low[j]), min(own.high[i], other.high[j])):
+            if seen_sums[row + 1, column] > seen_sums[row, column]:
+                covered[i, row] = True
+                count += 1
+    return count
+
+
+@compiled
+def _hidden(views: Any, sizes: Any, seen_sums: Any, cylinders: Any, fractions: Any, by: Any) -> None:
+    """Fill ``fractions`` (samples that nearer silhouettes cover, over all seen) and ``by`` of :func:`occlusion_state`."""
     for k in range(len(views)):
+        view = view_at(views, k)
         columns, rows = sizes[k]
-        for i in range(len(things)):
-            first, last = silhouette(
-                views[k], columns, rows, things[i, 0], things[i, 1], things[i, 2], things[i, 3], runs
-            )
-            mine = runs[: last - first].copy()
-            covered = np.zeros((last - first, rows), np.bool_)
-            area = 0
-            for c in range(last - first):
-                area += seen[k, mine[c, 1], first + c] - seen[k, mine[c, 0], first + c]
-            distance = np.hypot(things[i, 0] - views[k, 0], things[i, 1] - views[k, 1])
+        for i in range(len(cylinders)):
+            cylinder = cylinder_at(cylinders, i)
+            own = silhouette(view, columns, rows, cylinder)
+            covered, area = np.zeros((len(own.low), rows), np.bool_), 0
+            for c in range(len(own.low)):
+                area += seen_sums[k, own.high[c], own.first + c] - seen_sums[k, own.low[c], own.first + c]
+            distance = np.hypot(cylinder.x - view.x, cylinder.y - view.y)
             most = 0
-            for j in range(len(things)):
-                if j == i or np.hypot(things[j, 0] - views[k, 0], things[j, 1] - views[k, 1]) >= distance:
-                    continue
-                start, stop = silhouette(
-                    views[k], columns, rows, things[j, 0], things[j, 1], things[j, 2], things[j, 3], runs
-                )
-                own = 0
-                for column in range(max(first, start), min(last, stop)):
-                    for row in range(
-                        max(mine[column - first, 0], runs[column - start, 0]),
-                        min(mine[column - first, 1], runs[column - start, 1]),
-                    ):
-                        if seen[k, row + 1, column] > seen[k, row, column]:
-                            covered[column - first, row] = True
-                            own += 1
-                if own > most:
-                    most, by[i, k] = own, j
-            out[i, k] = covered.sum() / area if area else np.nan
+            for j in range(len(cylinders)):
+                other = cylinder_at(cylinders, j)
+                if j != i and np.hypot(other.x - view.x, other.y - view.y) < distance:
+                    shared = _cover_seen(seen_sums[k], own, silhouette(view, columns, rows, other), covered)
+                    if shared > most:
+                        most, by[i, k] = shared, j
+            fractions[i, k] = covered.sum() / area if area else np.nan
 
 
-def occlusion_state(evidence: PolarEvidence, things: Sequence[Cylinder]) -> tuple[FloatArray, npt.NDArray[np.int64]]:
-    """How much of each object nearer objects hide from each camera, from geometry.
+def occlusion_state(evidence: PolarEvidence, cylinders: Sequence[Cylinder]) -> tuple[FloatArray, npt.NDArray[np.int64]]:
+    """How much of each object nearer objects hide from each camera, from geometry alone.
+
+    Parameters
+    ----------
+    evidence
+        Of which only the views and the samples seen count.
+    cylinders
+        The N objects.
 
     Returns
     -------
     fractions
-        (N, K): 0 plain, 1 entirely hidden; NaN where the object lies outside the picture.
+        (N, K): 0 in plain view to 1 entirely hidden; NaN where the object lies outside the picture.
     by
         (N, K): index of the object that hides most of it, -1 if none does.
 
@@ -65,7 +73,7 @@ def occlusion_state(evidence: PolarEvidence, things: Sequence[Cylinder]) -> tupl
     ValueError
         A place or size that is not finite, or a size that is not positive.
     """
-    array = _as_array(things, "things")
+    array = as_array(cylinders, "cylinders")
     fractions = np.zeros((len(array), len(evidence.views)))
     by = np.full(fractions.shape, -1, np.int64)
     if len(array):

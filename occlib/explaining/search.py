@@ -1,23 +1,20 @@
 """Explaining away: the fewest upright objects of plausible size that explain all silhouettes (section 5, beyond AND).
 
-AND asks of each cell of the floor whether every view *could* have an object there. The shadows of n objects from two cameras
-then cross in up to n (n - 1) / 2 places where nothing stands. Here the question is turned round: which objects, put on the floor, would
-have cast the silhouettes that the cameras see? A ghost explains nothing that the real objects do not explain already, so it
-is never needed; an object that one view hides is, because the other view's silhouette would stay unexplained.
+AND asks of each cell of the floor whether every view *could* have an object there. The shadows of n objects from two
+cameras then cross in up to n (n - 1) / 2 places where nothing stands. Here the question is turned round: which objects,
+put on the floor, would have cast the silhouettes that the cameras see? A ghost explains nothing that the real objects
+do not explain already, so it is never needed; an object that one view hides is, because the other view's silhouette
+would stay unexplained.
 
-An object is an upright cylinder: place, radius, height. In a polar view (:class:`occlib.explaining.evidence.PolarWarp`: a column
-is an azimuth, a row an angle of depression) it covers one run of rows in each column, from its near edge on the floor to the
-far edge of its top. With running sums down the columns, a cylinder is weighed in a few look-ups, whatever its size.
+An object is an upright cylinder, and :mod:`occlib.explaining.objective` says what a set of them is worth. It is
+maximised as marked point processes are (Utasi and Benedek 2011, doi:10.1109/CVPR.2011.5995699), but greedily:
 
-The objective of a set of cylinders, summed over the views' samples, is
+1. :func:`occlib.explaining.candidates.candidates` weighs every place and radius at the best of some heights;
+2. the best candidate is refined and added, again and again, as long as one pays for itself (``_fill_up``);
+3. each cylinder is refined beside the others, then those are dropped that the others explain as well (``_settle``);
+4. where one wide cylinder explains its silhouettes badly, others are tried in its place (``_replaced``).
 
-    sum over covered samples of w  -  cost * (samples that each cylinder covers),    w in [-1, 1]
-
-where ``w`` > 0 is evidence of foreground and ``w`` < 0 of background, and a sample that several cylinders cover counts once;
-foreground that goes on right beyond a base or a top is subtracted (:data:`RIM_M`). What is as tall as a person is a body: in a column of samples that
-shows no head, or no leg, these parts are not covered. But for that it is the log-likelihood of a probabilistic occupancy map (Fleuret et al. 2008, doi:10.1109/TPAMI.2007.1174) up to scale,
-maximised as marked point processes are (Utasi and Benedek 2011, doi:10.1109/CVPR.2011.5995699), but greedily: the best
-cylinder first, then each refined beside the others, then those dropped that the others explain as well.
+The objects of the previous instant are a second start of the search, and stay unless a fresh one is clearly better.
 """
 
 from __future__ import annotations
@@ -30,53 +27,67 @@ import numpy.typing as npt
 
 from occlib.base.arrays import as_points
 from occlib.base.kernels import compiled
-from occlib.explaining.cylinders import (
-    PERSON_M,
-    Cylinder,
-    _as_array,
-    _column,
-    _edges,
-    _foot,
-    _limbs,
-    _span,
-    _top,
-    cover,
-    gain,
-    plausible,
-    room_for_runs,
-)
-from occlib.explaining.evidence import PolarEvidence
+from occlib.explaining.candidates import HEIGHTS, candidates
+from occlib.explaining.cylinders import PERSON_M, Cylinder, as_array, cylinder_at, plausible
+from occlib.explaining.evidence import PolarEvidence, view_at
+from occlib.explaining.objective import TINY, cover, cover_all, gain, objective, workspace
 
-RADII = np.array([0.06, 0.085, 0.12, 0.16, 0.21, 0.28, 0.36])
+COARSE_STEP_M, FINE_STEP_M, LEAST_STEP_M = 0.06, 0.03, 0.004
+"""First step in m of refining a candidate (nearly the spacing of the places) or a previous object, and the step below
+which refining ends."""
+
+RADIUS_STEP, HEIGHT_STEP, MIN_HEIGHT_STEP = 0.5, 1.67, 0.33
+"""Steps of radius and height, over that of the place: of the height so much per m of height, but at least the last."""
+
+ROUNDS = 14
+"""A refinement ends after so many rounds; with steps halved when nothing improves, it mostly ends before."""
+
+RISE = 1e-6
+"""A value must rise by more than this, in samples: what rises less may be rounding, and the search would not end."""
+
+RETRY = 1e-9
+"""A candidate whose value fell by more than this, in samples, since it was last weighed goes back into the queue."""
+
+WELL_EXPLAINED, SPLIT_RADIUS_M = 0.8, 0.12
+"""A cylinder of a net share below the first and a radius in m above the second may stand for two objects abreast."""
+
+REPLACED, REPLACEMENTS, REPLACEMENT_SPACING_M = 4, 6, 0.3
+"""At most so many cylinders are replaced on trial, each by up to so many others, so far apart in m."""
 
 
-HEIGHTS = np.array([0.04, 0.06, 0.09, 0.13, 0.18, 0.24, 0.32, 0.42, 0.55, 0.72, 0.95, 1.2, 1.45, 1.7, 1.9])
-"""Sizes tried at first, in m; the best are then refined freely between the limits of :func:`plausible`."""
-
-
-class Explanation(NamedTuple):
-    """How hard the silhouettes are to be explained.
+class ExplainSettings(NamedTuple):
+    """Settings of the search: what counts as an object.
 
     Parameters
     ----------
     cost
-        Share of its own silhouette that an object must explain before it counts: the price of one object more.
+        Share of its own silhouette, 0 to 1, that an object must explain before it counts: the price of one object more.
     background
-        Weight of a covered background sample against a covered foreground sample.
+        Weight of a covered background sample against a covered foreground sample, 0 to 1.
     least_area_m2
         An object that explains less silhouette, in m2 at its own distance, is noise.
     least_share
-        Share of its silhouette, in its best view, that no other object may explain.
+        Share of its silhouette, in its best view, that no other object may explain, 0 to 1.
     fragment_share
-        The same for what stands beside something much taller, such as an arm or a bag: it must stand clear of it.
-    margin_m, reach
-        What an object explains is enlarged by ``margin_m + reach * height`` when others are judged, and for
-        fragments by ``margin_m + fragment_reach * height``.
+        The same for a fragment: something low beside something much taller, such as an arm or a bag.
+    margin_m, margin_share
+        What an object explains is enlarged by ``margin_m + margin_share * height``, in m, when others are judged.
+    fragment_margin_share
+        The same share when fragments are judged.
+    low_share
+        An object lower than this share of another's height counts as low beside it, 0 to 1.
+    beside_m, beside_share
+        What is low within ``beside_m + beside_share * height``, in m, of a taller one's axis is a fragment.
+    person_low_m, person_tall_m
+        Within ``person_low_m`` of a person's axis, in m, what is low beside it is part of the person, and within
+        ``person_tall_m`` all else is: arms, legs, bags.
     keep
-        The last instant's objects stay unless a fresh search explains this share more.
+        The previous objects stay unless a fresh search explains this share more.
+    leftover_share
+        No fresh search is made if the previous objects, with those added, leave at most this share of the foreground.
     grid_m
-        Spacing of the places tried.
-    most
+        Spacing of the places tried, in m.
+    max_objects
         No more objects than so many.
     """
 
@@ -86,327 +97,240 @@ class Explanation(NamedTuple):
     least_share: float = 0.15
     fragment_share: float = 0.3
     margin_m: float = 0.05
-    reach: float = 0.04
-    fragment_reach: float = 0.12
+    margin_share: float = 0.04
+    fragment_margin_share: float = 0.12
+    low_share: float = 0.6
+    beside_m: float = 0.3
+    beside_share: float = 0.5
+    person_low_m: float = 0.5
+    person_tall_m: float = 0.3
     keep: float = 0.1
+    leftover_share: float = 0.1
     grid_m: float = 0.08
-    most: int = 32
+    max_objects: int = 32
 
 
-DEFAULT = Explanation()
+DEFAULT = ExplainSettings()
 """Chosen on the rendered recordings and on ufes-lab."""
 
 
-class _Search(NamedTuple):
-    """What all steps of a search share: the evidence, which stays, and memory to work in."""
-
-    views: Any
-    sizes: Any
-    weights: Any
-    sums: Any
-    seen: Any
-    spare: Any
-    spare_sums: Any
-    runs: Any
-    found: Any
+@compiled
+def _moved(cylinder: Any, field: int, by: float) -> Any:
+    """The cylinder with one of its numbers changed: 0 is x, 1 y, 2 the radius, 3 the height."""
+    return Cylinder(
+        cylinder.x + by if field == 0 else cylinder.x,
+        cylinder.y + by if field == 1 else cylinder.y,
+        cylinder.radius + by if field == 2 else cylinder.radius,
+        cylinder.height + by if field == 3 else cylinder.height,
+    )
 
 
 @compiled
-def _gain(at: Any, sums: Any, thing: Any, cost: float) -> float:
-    return gain(at.views, at.sizes, sums, at.seen, thing, cost, at.runs, at.found)
-
-
-@compiled
-def _cover(at: Any, thing: Any, margin: float) -> None:
-    cover(at.views, at.sizes, at.spare, at.spare_sums, thing, margin, at.runs)
-
-
-@compiled
-def _cover_all(at: Any, weights: Any, sums: Any, things: Any, count: int, but: int, margin: float) -> None:
-    """Fill ``weights`` and ``sums`` with the evidence that the cylinders, without one, leave unexplained."""
-    weights[:], sums[:] = at.weights, at.sums
-    for j in range(count):
-        if j != but:
-            cover(at.views, at.sizes, weights, sums, things[j], margin, at.runs)
-
-
-@compiled
-def _refined(at: Any, sums: Any, thing: Any, cost: float, step0: float) -> Any:
-    """The cylinder moved and sized, in steps of ``step0`` m and ever smaller ones, to where it explains most."""
-    best = _gain(at, sums, thing, cost)
-    # the height has far optima: a body is cut at the belt, or goes on in one that stands behind
-    for height in HEIGHTS if step0 > 0.03 else HEIGHTS[:0]:
-        if plausible(thing[2], height):
-            other = thing.copy()
-            other[3] = height
-            value = _gain(at, sums, other, cost)
-            if value > best + 1e-6:
-                best, thing = value, other
-    step = step0 * np.array([1.0, 1.0, 0.5, max(0.33, 1.67 * thing[3])])
-    for _ in range(14):
+def _refined(work: Any, sums: Any, cylinder: Any, cost: float, step: float) -> Any:
+    """The cylinder moved and sized to where it explains most: coordinate ascent from ``step`` m to ever smaller steps."""
+    best = gain(work, sums, cylinder, cost).value
+    # the height has far optima: a person is cut at the belt, or goes on in one that stands behind
+    for height in HEIGHTS if step > FINE_STEP_M else HEIGHTS[:0]:
+        if plausible(cylinder.radius, height):
+            other = Cylinder(cylinder.x, cylinder.y, cylinder.radius, height)
+            value = gain(work, sums, other, cost).value
+            if value > best + RISE:
+                best, cylinder = value, other
+    scales = (1.0, 1.0, RADIUS_STEP, max(MIN_HEIGHT_STEP, HEIGHT_STEP * cylinder.height))
+    for _ in range(ROUNDS):
         improved = False
-        for i in range(4):
+        for field in range(len(scales)):
             for sign in (1.0, -1.0):
-                other = thing.copy()
-                other[i] += sign * step[i]
-                if plausible(other[2], other[3]):
-                    value = _gain(at, sums, other, cost)
-                    if value > best + 1e-6:
-                        best, thing, improved = value, other, True
-        for k in range(len(at.views)):  # along the sight-line of one view: farther and lower looks the same to it
-            dx, dy = thing[0] - at.views[k, 0], thing[1] - at.views[k, 1]
-            distance = max(np.hypot(dx, dy), 1e-9)
+                other = _moved(cylinder, field, sign * step * scales[field])
+                if plausible(other.radius, other.height):
+                    value = gain(work, sums, other, cost).value
+                    if value > best + RISE:
+                        best, cylinder, improved = value, other, True
+        for k in range(len(work.views)):  # along the sight-line of one view: farther and lower looks the same to it
+            view = view_at(work.views, k)
+            dx, dy = cylinder.x - view.x, cylinder.y - view.y
+            distance = max(np.hypot(dx, dy), TINY)
             for sign in (1.0, -1.0):
-                other = thing.copy()
-                other[0] += sign * step[0] * dx / distance
-                other[1] += sign * step[0] * dy / distance
-                other[3] -= sign * step[0] * (at.views[k, 2] - thing[3]) / distance
-                if plausible(other[2], other[3]):
-                    value = _gain(at, sums, other, cost)
-                    if value > best + 1e-6:
-                        best, thing, improved = value, other, True
+                other = Cylinder(
+                    cylinder.x + sign * step * dx / distance,
+                    cylinder.y + sign * step * dy / distance,
+                    cylinder.radius,
+                    cylinder.height - sign * step * (view.height - cylinder.height) / distance,
+                )
+                if plausible(other.radius, other.height):
+                    value = gain(work, sums, other, cost).value
+                    if value > best + RISE:
+                        best, cylinder, improved = value, other, True
         if not improved:
             step /= 2
-            if step[0] < 0.004:
+            if step < LEAST_STEP_M:
                 break
-    return thing
+    return cylinder
 
 
 @compiled
-def _candidates(at: Any, sums: Any, places: Any, cost: float) -> Any:
-    """For each place and radius the best height, where there is one: cylinders (N, 4) and what they explain (N,).
+def _stands_alone(work: Any, cylinders: Any, count: int, left_out: int, cylinder: Any, settings: Any) -> bool:
+    """Whether enough of a cylinder is explained by none of the others, but for the one left out (which may be itself).
 
-    What does not depend on the height is worked out once; the values are those of :func:`gain`. The search goes up until
-    what the columns hold at most would no longer pay for what is covered.
+    Nothing right beside a person stands alone, and a fragment must stand clear of all that is much taller.
     """
-    most = _most(at, sums)
-    things, values, n = np.empty((len(places) * len(RADII), 4)), np.empty(len(places) * len(RADII)), 0
-    spans = np.empty((len(at.views), 2), np.int64)
-    edges = np.empty((len(at.views), at.weights.shape[2], 2))
-    feet = np.empty((len(at.views), at.weights.shape[2], 2), np.int64)
-    for i in range(len(places)):
-        for radius in RADII:
-            bound = 0.0
-            for k in range(len(at.views)):
-                first, last, distance, azimuth = _span(at.views[k], at.sizes[k, 0], places[i, 0], places[i, 1], radius)
-                spans[k] = first, last
-                for column in range(first, last):
-                    edges[k, column] = _edges(at.views[k], column, distance, azimuth, radius)
-                    feet[k, column] = _foot(at.views[k], edges[k, column, 0])
-                    bound += most[k, column] * at.views[k, 7]
-            bound *= 1 + 1e-9  # rounding
-            best, falling, least = 0.0, 0, 0.0
-            for height in HEIGHTS:
-                if bound <= best:
-                    break
-                if height < least or not plausible(radius, height):
-                    continue
-                value, area = _gain_at(at, sums, spans, edges, feet, radius, height, cost)
-                if value > best:
-                    if best == 0.0:
-                        n += 1
-                    best, falling = value, 0
-                    things[n - 1, 0], things[n - 1, 1] = places[i, 0], places[i, 1]
-                    things[n - 1, 2], things[n - 1, 3] = radius, height
-                    values[n - 1] = value
-                elif best > 0:
-                    falling += 1
-                    if falling >= 4:
-                        break
-                if bound - cost * area <= best:  # nor does it pay for what is higher, but a body may cover less
-                    least = PERSON_M
-    return things[:n], values[:n]
-
-
-@compiled
-def _most(at: Any, sums: Any) -> Any:
-    """The most that any run of rows explains in each column, (K, columns)."""
-    most = np.zeros(at.weights.shape[::2])
-    for k in range(len(most)):
-        for column in range(at.sizes[k, 0]):
-            least = sums[k, 0, column]
-            for row in range(1, at.sizes[k, 1] + 1):
-                least = min(least, sums[k, row, column])
-                most[k, column] = max(most[k, column], (sums[k, row, column] - least) / 255.0)
-    return most
-
-
-@compiled
-def _gain_at(at: Any, sums: Any, spans: Any, edges: Any, feet: Any, radius: float, height: float, cost: float) -> Any:
-    """:func:`gain` of a cylinder of which only the height is new, and the area that it covers."""
-    total, area = 0.0, 0.0
-    for k in range(len(at.views)):
-        rows = at.sizes[k, 1]
-        explained, covered, beyond = 0, 0, 0
-        for column in range(spans[k, 0], spans[k, 1]):
-            near, far = edges[k, column]
-            low = min(max(_top(at.views[k], near, far, height), 0), rows)
-            high = max(min(max(feet[k, column, 0], 0), rows), low)
-            trunk, legs = _limbs(at.views[k], near, far, radius, height, low, high)
-            above, below = max(low - feet[k, column, 1], 0), min(high + feet[k, column, 1], rows)
-            evidence, samples, more = _column(sums, at.seen, k, column, low, high, above, below, trunk, legs)
-            explained += evidence
-            covered += samples
-            beyond += more
-        total += (explained / 255.0 - beyond / 255.0) * at.views[k, 7]
-        area += covered * at.views[k, 7]
-    return total - cost * area, area
-
-
-@compiled
-def _stands_alone(at: Any, things: Any, count: int, but: int, thing: Any, how: Any) -> bool:
-    """Whether enough of a cylinder is explained by none of the others; a fragment must stand clear of what towers over it."""
-    at.spare[:], at.spare_sums[:] = at.weights, at.sums
-    towered = False
+    work.left[:], work.left_sums[:] = work.weights, work.sums
+    fragment = False
     for j in range(count):
-        if j != but:
-            _cover(at, things[j], how.margin_m + how.reach * things[j, 3])
-            apart = np.hypot(things[j, 0] - thing[0], things[j, 1] - thing[1])
-            if things[j, 3] >= PERSON_M and apart < (0.5 if thing[3] < 0.6 * things[j, 3] else 0.3):
+        if j != left_out:
+            other = cylinder_at(cylinders, j)
+            cover(work, work.left, work.left_sums, other, settings.margin_m + settings.margin_share * other.height)
+            apart, low = np.hypot(other.x - cylinder.x, other.y - cylinder.y), _is_low(cylinder, other, settings)
+            if other.height >= PERSON_M and apart < (settings.person_low_m if low else settings.person_tall_m):
                 return False
-            towered = towered or (thing[3] < 0.6 * things[j, 3] and apart < 0.3 + 0.5 * things[j, 3])
-    _gain(at, at.spare_sums, thing, 0.0)
-    if at.found[0] < how.least_area_m2 or at.found[1] < how.least_share:
+            fragment = fragment or (low and apart < settings.beside_m + settings.beside_share * other.height)
+    own = gain(work, work.left_sums, cylinder, 0.0)
+    if own.explained_m2 < settings.least_area_m2 or own.best_share < settings.least_share:
         return False
-    if towered:
+    if fragment:
         for j in range(count):
-            if j != but and thing[3] < 0.6 * things[j, 3]:
-                _cover(at, things[j], how.margin_m + how.fragment_reach * things[j, 3])
-        _gain(at, at.spare_sums, thing, 0.0)
-    return at.found[0] >= how.least_area_m2 and (not towered or at.found[1] >= how.fragment_share)
+            other = cylinder_at(cylinders, j)
+            if j != left_out and _is_low(cylinder, other, settings):
+                margin = settings.margin_m + settings.fragment_margin_share * other.height
+                cover(work, work.left, work.left_sums, other, margin)
+        own = gain(work, work.left_sums, cylinder, 0.0)
+    return own.explained_m2 >= settings.least_area_m2 and (not fragment or own.best_share >= settings.fragment_share)
 
 
 @compiled
-def _fill_up(at: Any, candidates: Any, values: Any, things: Any, count: int, how: Any) -> int:
-    """Add the candidate that explains most of what is left, again and again. Values only fall, so few are looked at anew."""
-    weights, sums, bound = at.weights.copy(), at.sums.copy(), values.copy()
-    _cover_all(at, weights, sums, things, count, -1, 0.0)
-    while count < len(things) and len(bound):
+def _is_low(cylinder: Any, other: Any, settings: Any) -> bool:
+    """Whether a cylinder is much lower than another."""
+    return cylinder.height < settings.low_share * other.height
+
+
+@compiled
+def _fill_up(work: Any, tried: Any, values: Any, cylinders: Any, count: int, settings: Any) -> int:
+    """Add the candidate that explains most of what is left, again and again; returns the new count.
+
+    ``values`` are what the candidates tried explained at first. Now they explain no more, so few are weighed anew.
+    """
+    weights, sums, bound = work.weights.copy(), work.sums.copy(), values.copy()
+    cover_all(work, weights, sums, cylinders, count, -1, 0.0)
+    while count < len(cylinders) and len(bound):
         best = bound.argmax()
         if bound[best] <= 0:
             break
-        value = _gain(at, sums, candidates[best], how.cost)
-        if value < bound[best] - 1e-9:
+        candidate = cylinder_at(tried, best)
+        value = gain(work, sums, candidate, settings.cost).value
+        if value < bound[best] - RETRY:
             bound[best] = value
             continue
         bound[best] = -1.0
-        thing = _refined(at, sums, candidates[best].copy(), how.cost, 0.06)
-        if _stands_alone(at, things, count, -1, thing, how):
-            things[count] = thing
+        cylinder = _refined(work, sums, candidate, settings.cost, COARSE_STEP_M)
+        if _stands_alone(work, cylinders, count, -1, cylinder, settings):
+            cylinders[count] = cylinder
             count += 1
-            cover(at.views, at.sizes, weights, sums, thing, 0.0, at.runs)
+            cover(work, weights, sums, cylinder, 0.0)
     return count
 
 
 @compiled
-def _settle(at: Any, things: Any, count: int, how: Any, step0: float) -> int:
+def _settle(work: Any, cylinders: Any, count: int, settings: Any, step: float) -> int:
     """Refine each cylinder beside the others, then drop, the weakest first, those that the others explain as well."""
-    weights, sums = at.weights.copy(), at.sums.copy()
+    weights, sums = work.weights.copy(), work.sums.copy()
     for k in range(count):
-        _cover_all(at, weights, sums, things, count, k, 0.0)
-        things[k] = _refined(at, sums, things[k].copy(), how.cost, step0)
+        cover_all(work, weights, sums, cylinders, count, k, 0.0)
+        cylinders[k] = _refined(work, sums, cylinder_at(cylinders, k), settings.cost, step)
     while count:
         worst, least = -1, np.inf
         for k in range(count):
-            _cover_all(at, weights, sums, things, count, k, 0.0)
-            value = _gain(at, sums, things[k], how.cost)
-            if value < least and (value <= 0 or not _stands_alone(at, things, count, k, things[k], how)):
+            cylinder = cylinder_at(cylinders, k)
+            cover_all(work, weights, sums, cylinders, count, k, 0.0)
+            value = gain(work, sums, cylinder, settings.cost).value
+            if value < least and (value <= 0 or not _stands_alone(work, cylinders, count, k, cylinder, settings)):
                 worst, least = k, value
         if worst < 0:
             break
         for j in range(worst, count - 1):
-            things[j] = things[j + 1]
+            cylinders[j] = cylinders[j + 1]
         count -= 1
     return count
 
 
 @compiled
-def objective(
-    views: Any, sizes: Any, weights0: Any, sums0: Any, seen: Any, things: Any, count: int, cost: float
-) -> float:
-    """The objective of a set of cylinders; a sample that several cover counts once."""
-    weights, sums, total = weights0.copy(), sums0.copy(), 0.0
-    runs, found = room_for_runs(weights.shape[2]), np.empty(3)
-    for k in range(count):
-        total += gain(views, sizes, sums, seen, things[k], cost, runs, found)
-        cover(views, sizes, weights, sums, things[k], 0.0, runs)
-    return total
-
-
-@compiled
-def _continued(at: Any, places: Any, things: Any, count: int, how: Any) -> Any:
-    """The last instant's objects and what they leave: their number, their value, and whether nothing of weight is left."""
-    count = _settle(at, things, count, how, 0.03)
-    _cover_all(at, at.spare, at.spare_sums, things, count, -1, how.margin_m)
-    candidates, values = _candidates(at, at.spare_sums, places, how.cost)
+def _continued(work: Any, places: Any, cylinders: Any, count: int, settings: Any) -> Any:
+    """The previous objects, refined, and others for what they leave: count, objective, whether little is left over."""
+    count = _settle(work, cylinders, count, settings, FINE_STEP_M)
+    cover_all(work, work.left, work.left_sums, cylinders, count, -1, settings.margin_m)
+    tried, values = candidates(work, work.left_sums, places, settings.cost)
     known = count
-    count = _fill_up(at, candidates, values, things, count, how)
+    count = _fill_up(work, tried, values, cylinders, count, settings)
     if count > known:
-        count = _settle(at, things, count, how, 0.06)
-    value = objective(at.views, at.sizes, at.weights, at.sums, at.seen, things, count, how.cost)
-    _cover_all(at, at.spare, at.spare_sums, things, count, -1, how.margin_m)
-    return count, value, np.maximum(at.spare, 0).sum() <= 0.1 * np.maximum(at.weights, 0).sum()
+        count = _settle(work, cylinders, count, settings, COARSE_STEP_M)
+    value = objective(work, cylinders, count, settings.cost)
+    cover_all(work, work.left, work.left_sums, cylinders, count, -1, settings.margin_m)
+    leftover = np.maximum(work.left, 0).sum()
+    return count, value, leftover <= settings.leftover_share * np.maximum(work.weights, 0).sum()
 
 
 @compiled
-def _replaced(at: Any, candidates: Any, best: Any, n: int, total: float, chosen: int, how: Any) -> Any:
-    """The objects with others tried first in the place of one, wherever that explains more; else as they are."""
-    weights, sums = at.weights.copy(), at.sums.copy()
-    _cover_all(at, weights, sums, best, n, chosen, 0.0)
-    left = np.empty(len(candidates))
-    for i in range(len(candidates)):
-        left[i] = _gain(at, sums, candidates[i], how.cost)
-    free = left.copy()
-    centre_x, centre_y = best[chosen, 0], best[chosen, 1]
-    for _ in range(6):
-        for i in range(len(candidates)):
-            if np.hypot(candidates[i, 0] - centre_x, candidates[i, 1] - centre_y) < 0.3:
+def _replaced(work: Any, tried: Any, best: Any, count: int, total: float, chosen: int, settings: Any) -> Any:
+    """The cylinders with another one first in the place of one chosen, if that explains more; else as they are."""
+    weights, sums = work.weights.copy(), work.sums.copy()
+    cover_all(work, weights, sums, best, count, chosen, 0.0)
+    values = np.empty(len(tried))
+    for i in range(len(tried)):
+        values[i] = gain(work, sums, cylinder_at(tried, i), settings.cost).value
+    free = values.copy()
+    last = cylinder_at(best, chosen)
+    for _ in range(REPLACEMENTS):
+        for i in range(len(tried)):
+            candidate = cylinder_at(tried, i)
+            if np.hypot(candidate.x - last.x, candidate.y - last.y) < REPLACEMENT_SPACING_M:
                 free[i] = -1.0
         first = free.argmax() if len(free) else 0
         if len(free) == 0 or free[first] <= 0:
             break
-        centre_x, centre_y = candidates[first, 0], candidates[first, 1]
-        things, count = np.zeros_like(best), 0
-        for j in range(n):
+        last = cylinder_at(tried, first)
+        cylinders, n = np.zeros_like(best), 0
+        for j in range(count):
             if j != chosen:
-                things[count] = best[j]
-                count += 1
-        things[count] = candidates[first]
-        count = _fill_up(at, candidates, left, things, count + 1, how)
-        count = _settle(at, things, count, how, 0.06)
-        value = objective(at.views, at.sizes, at.weights, at.sums, at.seen, things, count, how.cost)
-        if value > total + 1e-6:
-            return things, count, value
-    return best, n, total
+                cylinders[n] = best[j]
+                n += 1
+        cylinders[n] = last
+        n = _fill_up(work, tried, values, cylinders, n + 1, settings)
+        n = _settle(work, cylinders, n, settings, COARSE_STEP_M)
+        value = objective(work, cylinders, n, settings.cost)
+        if value > total + RISE:
+            return cylinders, n, value
+    return best, count, total
 
 
 @compiled
-def _solve(at: Any, places: Any, before: Any, how: Any) -> Any:
-    best, n, total = np.zeros((how.most, 4)), 0, 0.0
-    if len(before):
-        for thing in before[: how.most]:
-            best[n] = thing
-            n += 1
-        n, value, done = _continued(at, places, best, n, how)
-        total = value * (1 + how.keep)
+def _solve(work: Any, places: Any, previous: Any, settings: Any) -> Any:
+    """The cylinders, float64 (N, 4): the previous ones continued or a fresh search, whichever explains more."""
+    best, n, total = np.zeros((settings.max_objects, 4)), 0, 0.0
+    if len(previous):
+        n = min(len(previous), settings.max_objects)
+        best[:n] = previous[:n]
+        n, value, done = _continued(work, places, best, n, settings)
+        total = value * (1 + settings.keep)
         if done:
-            return best[:n]  # no need to begin anew
-    candidates, values = _candidates(at, at.sums, places, how.cost)
-    things = np.zeros((how.most, 4))
-    count = _settle(at, things, _fill_up(at, candidates, values, things, 0, how), how, 0.06)
-    value = objective(at.views, at.sizes, at.weights, at.sums, at.seen, things, count, how.cost)
+            return best[:n]
+    tried, values = candidates(work, work.sums, places, settings.cost)
+    cylinders = np.zeros((settings.max_objects, 4))
+    count = _settle(work, cylinders, _fill_up(work, tried, values, cylinders, 0, settings), settings, COARSE_STEP_M)
+    value = objective(work, cylinders, count, settings.cost)
     if value > total:
-        best, n, total = things, count, value
-    for attempt in range(4):  # one wide object may stand for two
+        best, n, total = cylinders, count, value
+    for attempt in range(REPLACED):
         chosen = -1
         for k in range(attempt, n):
-            _gain(at, at.sums, best[k], how.cost)
-            if at.found[2] < 0.8 and best[k, 2] > 0.12:
+            cylinder = cylinder_at(best, k)
+            if (
+                gain(work, work.sums, cylinder, settings.cost).net_share < WELL_EXPLAINED
+                and cylinder.radius > SPLIT_RADIUS_M
+            ):
                 chosen = k
                 break
         if chosen < 0:
             break
-        best, n, total = _replaced(at, candidates, best, n, total, chosen, how)
+        best, n, total = _replaced(work, tried, best, n, total, chosen, settings)
     return best[:n]
 
 
@@ -414,8 +338,8 @@ def explain(
     evidence: PolarEvidence,
     places_m: npt.ArrayLike,
     *,
-    before: Sequence[Cylinder] = (),
-    how: Explanation = DEFAULT,
+    previous: Sequence[Cylinder] = (),
+    settings: ExplainSettings = DEFAULT,
 ) -> list[Cylinder]:
     """The fewest plausible cylinders that explain the silhouettes of all views.
 
@@ -425,10 +349,10 @@ def explain(
         What the views say.
     places_m
         Floor points (N, 2) in m where something may stand; see :func:`occlib.explaining.explainer.standing_places`.
-    before
-        The last instant's cylinders, as a second start of the search.
-    how
-        Thresholds.
+    previous
+        The cylinders of the previous instant, as a second start of the search.
+    settings
+        What counts as an object.
 
     Returns
     -------
@@ -437,18 +361,33 @@ def explain(
     Raises
     ------
     ValueError
-        Places of another shape or not finite, or a cylinder of before that is none.
+        Places of another shape or not finite, a previous cylinder whose place is not finite or whose size not positive,
+        or a setting that is negative or not finite.
+
+    Examples
+    --------
+    Two cameras see the silhouette of a box, 0.5 m high, and background all around it:
+
+    >>> from occlib.explaining import PolarWarp, silhouette
+    >>> from occlib.geometry import Rig
+    >>> from occlib.recordings import LAB
+    >>> rig, box, views = Rig.load(LAB / "robot" / "rig.yaml"), Cylinder(0.2, 0.1, 0.2, 0.5), []
+    >>> for warp in (PolarWarp(rig[name], rig.floor) for name in ("left", "right")):
+    ...     weights, (rows, columns) = np.full(warp.shape, -150), warp.shape
+    ...     first, low, high = silhouette(warp.parameters, columns, rows, box)
+    ...     for column, (top, base) in enumerate(zip(low, high, strict=True), start=first):
+    ...         weights[top:base, column] = 255
+    ...     views.append((warp.parameters, weights * warp.visible, warp.visible))
+    >>> (found,) = explain(PolarEvidence.of(views), [[0.0, 0.0], [0.2, 0.16]])
+    >>> [round(number, 1) for number in found]
+    [0.2, 0.1, 0.2, 0.5]
     """
-    places, last = as_points(places_m, name="places_m"), _as_array(before, "before")
+    places, start = as_points(places_m, name="places_m"), as_array(previous, "previous")
     if not np.isfinite(places).all():
         raise ValueError("places_m: expected finite numbers, got NaN or infinity")
-    things = _solve(_search(evidence), places, last, how)
-    return [Cylinder(*map(float, thing)) for thing in things]
-
-
-def _search(evidence: PolarEvidence) -> _Search:
-    weights, sums = evidence.weights, evidence.sums
-    runs, found = room_for_runs(weights.shape[2]), np.empty(3)
-    return _Search(
-        evidence.views, evidence.sizes, weights, sums, evidence.seen_sums, weights.copy(), sums.copy(), runs, found
-    )
+    for name, value in settings._asdict().items():
+        if not 0 <= value < np.inf:
+            raise ValueError(f"settings.{name}: expected a finite number of 0 or more, got {value}")
+    # an int where the loops were compiled for a float would have them compiled anew
+    typed = ExplainSettings._make(type(usual)(value) for usual, value in zip(DEFAULT, settings, strict=True))
+    return [Cylinder(*map(float, row)) for row in _solve(workspace(evidence), places, start, typed)]

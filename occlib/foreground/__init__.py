@@ -3,6 +3,7 @@
 
 from occlib.foreground.background import Background, as_background, average_background
 from occlib.foreground.difference import foreground_mask, smooth, subtract_background
+from occlib.foreground.evidence import Difference, Evidence
 from occlib.foreground.health import CameraMonitor
 from occlib.foreground.intensity import adjust_intensity, channel_gain_offset, intensity_gain_offset, to_grey
 from occlib.foreground.learning import learn_background
@@ -14,7 +15,7 @@ __all__ = [
     "SURE",
     "THRESHOLDS",
     "Background",
-    "CameraMonitor",
+    "CameraMonitor", "Difference", "Evidence",
     "ShadowModel",
     "adjust_intensity",
     "as_background",

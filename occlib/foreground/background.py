@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from occlib.base import checks
 from occlib.base.arrays import Image, Mask
 from occlib.base.files import write_file
 from occlib.foreground.intensity import _checked, to_grey
@@ -92,8 +93,7 @@ class Background:
                 spread = archive["spread"] if "spread" in archive else None  # older files have none
         except (OSError, KeyError, TypeError, ValueError, EOFError, zipfile.BadZipFile, zlib.error) as error:
             raise ValueError(f"{path}: cannot read a background ({error})") from None
-        if not (np.isfinite(noise) and noise >= 0):
-            raise ValueError(f"{path}: noise: expected grey levels >= 0, got {noise}")
+        checks.number(f"{path}: noise", noise, least=0, unit="grey levels")
         if spread is not None:
             if spread.shape != image.shape[:2] or spread.dtype != np.float32:
                 raise ValueError(
@@ -169,10 +169,8 @@ def update_background(background: Background, image: Image, foreground: Mask, *,
     """
     if image.shape != background.image.shape or image.dtype != np.uint8:
         raise ValueError(f"image: expected uint8 {background.image.shape}, got {image.dtype} {image.shape}")
-    if foreground.shape != image.shape[:2] or foreground.dtype != np.bool_:
-        raise ValueError(f"foreground: expected bool {image.shape[:2]}, got {foreground.dtype} {foreground.shape}")
-    if not 0 <= rate <= 1:
-        raise ValueError(f"rate: expected a share from 0 to 1, got {rate}")
+    checks.mask("foreground", foreground, image.shape[:2])
+    checks.number("rate", rate, least=0, most=1, unit="a share")
     before = background.image if background.unrounded is None else background.unrounded
     levels = before.astype(np.float32)  # a copy
     cv2.accumulateWeighted(image, levels, rate, mask=(~foreground).astype(np.uint8))

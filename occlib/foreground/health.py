@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from occlib.base import checks
 from occlib.base.arrays import Image
 from occlib.foreground.background import Background, as_background
 from occlib.foreground.intensity import to_grey
@@ -102,9 +103,7 @@ class CameraMonitor:
     def __init__(self, backgrounds: Mapping[str, Background | npt.ArrayLike], *, repetitions: int = 3) -> None:
         if not backgrounds:
             raise ValueError("backgrounds: expected one for every camera, got none")
-        if isinstance(repetitions, bool) or not isinstance(repetitions, int) or repetitions < 1:
-            raise ValueError(f"repetitions: expected a whole number >= 1, got {repetitions!r}")
-        self.repetitions = repetitions
+        self.repetitions = checks.whole("repetitions", repetitions, least=1)
         self._views = {name: _View(as_background(background)) for name, background in backgrounds.items()}
         self._last: dict[str, Image] = {}
         self._repeated = dict.fromkeys(self._views, 0)

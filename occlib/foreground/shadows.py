@@ -1,4 +1,4 @@
-"""DOC"""
+"""Shadows and reflections told from objects by their colour: soft evidence of foreground, beyond the paper's difference."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import numpy as np
 from occlib.base.arrays import Image
 from occlib.base.kernels import compiled
 from occlib.foreground.background import Background
+from occlib.foreground.evidence import Evidence
 from occlib.foreground.intensity import channel_gain_offset
 
 SURE = 128
@@ -51,6 +52,10 @@ class ShadowModel:
     texture: float = 0.15
     steepness: float = 2.5
     depth: float = 0.5
+
+    def evidence(self, image: Image, background: Background) -> Evidence:
+        """:func:`foreground_evidence` of a uint8 RGB image as the evidence of a view."""
+        return Evidence(foreground_evidence(image, background, shadows=self), SURE - 0.5, SURE - 1, soft=True)
 
 
 def foreground_evidence(image: Image, background: Background, *, shadows: ShadowModel = ShadowModel()) -> Image:

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import cv2
-import numpy as np
 
+from occlib.base import checks
 from occlib.base.arrays import Image
 
 
@@ -55,6 +55,4 @@ def threshold_level(difference: Image, threshold: str | float = "otsu", *, noise
             known = ", ".join([*THRESHOLDS, "noise"])
             raise ValueError(f"threshold: expected {known} or grey levels, got {threshold!r}")
         return max(THRESHOLDS[threshold](difference), noise_floor)
-    if not (np.isfinite(threshold) and threshold >= 0):
-        raise ValueError(f"threshold: expected grey levels >= 0, got {threshold}")
-    return float(threshold)
+    return checks.number("threshold", threshold, least=0, unit="grey levels")

@@ -9,13 +9,13 @@ from occlib.lab.missions import MAPS, Mission, Outcome, drive_together, random_m
 from occlib.lab.rendering import floor_marks, render
 from occlib.lab.scenes import Scene, SceneObject, Waypoint, floor_board, load_scene
 from occlib.lab.shapes import Part, hit_distance, rotation_xyz, unit_mesh
-from occlib.lab.simulation import EXPLAIN, Simulation, covered_share, measured_smear_m, misses, score
+from occlib.lab.simulation import EXPLAIN, Simulation, covered_share, evidence_of, measured_smear_m, misses, score
 from occlib.lab.simulation import two_view_study, union, votes_needed
 from occlib.lab.truth import depth_image, ground_truth, silhouettes
 
 __all__ = [
     "BEARINGS", "EXPLAIN", "FLOOR", "MAPS", "Mission", "Outcome", "Part", "Scene", "SceneObject", "Simulation",
-    "Waypoint", "colour_study", "covered_share", "crossings", "depth_image", "drive_together", "expected_crossings",
+    "Waypoint", "colour_study", "covered_share", "crossings", "depth_image", "drive_together", "evidence_of", "expected_crossings",
     "floor_board", "floor_marks", "ghost_regions", "ground_truth", "hit_distance", "load_scene", "measured_smear_m",
     "misses", "places_m", "random_crowd", "random_crowds", "random_mission", "render", "rotation_xyz",
     "run_missions", "score", "shadow_mask", "shadow_outline_m", "silhouettes", "smear_m", "summary", "truth_of",

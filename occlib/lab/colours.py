@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from itertools import combinations, permutations
 from typing import Any
 
 import numpy as np
 
 from occlib.base.arrays import Image, Mask
-from occlib.explaining.appearance import axis_colours, colour_agreement
+from occlib.explaining import axis_colours, colour_agreement
+from occlib.formats import TrueObject
 from occlib.geometry import Rig, apply_homography
 from occlib.lab.ghosts import LEAST_AREA_M2
 from occlib.lab.scenes import load_scene
@@ -43,48 +44,53 @@ def colour_study(recording: str, frames: Iterable[int], *, height: float = 0.05)
     source, scene = open_recording(recording), load_scene(recording)
     rig, floor = source.rig, source.rig.floor
     warps = {name: FloorWarp(camera, floor) for name, camera in rig.cameras.items()}
-    truth, wanted, rows = ground_truth(scene, frames=frames)["frames"], {int(frame) for frame in frames}, []
+    truth, rows = ground_truth(scene, frames=frames).frames, []
     for frame, images in source.images():
-        if frame not in wanted:
+        if frame not in truth:
             continue
         seen = silhouettes(scene, frame)
         views = {name: warps[name].warp(np.any([m for m, _ in seen[name].values()], axis=0)) for name in rig.cameras}
         for pair in combinations(rig.cameras, 2):
             pictures = {name: images[name] for name in pair}
             for kind, name, (x, y), value in [
-                *_claimed(views, pair, pictures, truth[str(frame)], rig, height),
-                *_ghosts_to_be(pair, pictures, truth[str(frame)], rig),
+                *_claimed(views, pair, pictures, truth[frame], rig, height),
+                *_ghosts_to_be(pair, pictures, truth[frame], rig),
             ]:
                 row = {"frame": frame, "cameras": " + ".join(pair), "kind": kind, "object": name}
                 rows.append({**row, "x": x, "y": y, "disagreement": value})
     return rows
 
 
-def _plain(thing: Mapping[str, Any], camera: str) -> bool:
-    return bool(thing["hidden_fraction"].get(camera, 1.0) < 0.1)
+def _plain(true: TrueObject, camera: str) -> bool:
+    return true.hidden_fraction.get(camera, 1.0) < 0.1
 
 
 def _claimed(
-    views: Mapping[str, Mask], pair: tuple[str, str], pictures: Mapping[str, Image], truth: Any, rig: Rig, height: float
+    views: Mapping[str, Mask],
+    pair: tuple[str, str],
+    pictures: Mapping[str, Image],
+    truth: Sequence[TrueObject],
+    rig: Rig,
+    height: float,
 ) -> list[tuple[str, str, tuple[float, float], float]]:
     """Regions of the AND: kind, objects, place and disagreement."""
     floor = rig.floor
     labels, regions = find_regions(views[pair[0]] & views[pair[1]], min_area=LEAST_AREA_M2 / floor.cell_area)
-    owners: dict[int, list[Any]] = {region.label: [] for region in regions}
-    for thing in truth:
-        for label in set(labels[floor.polygon_mask(thing["footprint"])].tolist()) - {0}:
-            owners[label].append(thing)
+    owners: dict[int, list[TrueObject]] = {region.label: [] for region in regions}
+    for true in truth:
+        for label in set(labels[floor.polygon_mask(true.footprint or ())].tolist()) - {0}:
+            owners[label].append(true)
     places = apply_homography(floor.cell_to_floor, [region.centroid for region in regions])
     found = colour_agreement(places, height, pictures, rig)
     kinds = [
         "ghost"
         if not owners[region.label]
         else "real, in plain view"
-        if all(_plain(thing, name) for thing in owners[region.label] for name in pair)
+        if all(_plain(true, name) for true in owners[region.label] for name in pair)
         else "real, partly hidden"
         for region in regions
     ]
-    ids = [" + ".join(str(thing["id"]) for thing in owners[region.label]) for region in regions]
+    ids = [" + ".join(str(true.id) for true in owners[region.label]) for region in regions]
     return [
         (kind, name, (float(x), float(y)), float(d))
         for kind, name, (x, y), d in zip(kinds, ids, places, found, strict=True)
@@ -92,10 +98,10 @@ def _claimed(
 
 
 def _ghosts_to_be(
-    pair: tuple[str, str], pictures: Mapping[str, Image], truth: Any, rig: Rig
+    pair: tuple[str, str], pictures: Mapping[str, Image], truth: Sequence[TrueObject], rig: Rig
 ) -> list[tuple[str, str, tuple[float, float], float]]:
     """Colour of one object in one view against that of another object in the other view."""
-    colours = axis_colours([[t["x"], t["y"]] for t in truth], [t["height"] for t in truth], pictures, rig)
+    colours = axis_colours([[t.x, t.y] for t in truth], [t.height or 0.0 for t in truth], pictures, rig)
     return [
         ("ghost to be", "", (np.nan, np.nan), float(np.linalg.norm(colours[0, i] - colours[1, j])))
         for i, j in permutations(range(len(truth)), 2)

@@ -8,9 +8,11 @@ from typing import Any
 import numpy as np
 
 from occlib.base.arrays import FloatArray, as_points
+from occlib.formats import TrueObject, Truth
 from occlib.geometry import Camera, Floor, Rig, look_at
 from occlib.lab.scenes import SceneObject, Waypoint
 from occlib.lab.shapes import SHAPES, Part
+from occlib.lens import Lens
 
 BEARINGS = {
     "left": 180.0,
@@ -89,8 +91,8 @@ def _wall_camera(name: str, bearing: float, height: float, floor: Floor, size: t
     middle, half = (np.array(size) - 1) / 2, np.ptp(rays, axis=0) / 2
     focal = 0.97 * float(np.min(middle / half))
     centre = middle - focal * (rays.min(axis=0) + half)
-    matrix = [[focal, 0, centre[0]], [0, focal, centre[1]], [0, 0, 1]]
-    return Camera.from_pose(name, size, matrix, np.zeros(5), rotation, -rotation @ station)
+    matrix = np.array([[focal, 0, centre[0]], [0, focal, centre[1]], [0, 0, 1]])
+    return Camera.from_pose(name, size, Lens(matrix, np.zeros(5)), rotation, -rotation @ station)
 
 
 def upright(
@@ -200,13 +202,11 @@ def places_m(crowd: Sequence[SceneObject]) -> FloatArray:
     return as_points([thing.pose(0)[:2] for thing in crowd])
 
 
-def truth_of(crowds: Sequence[Sequence[SceneObject]]) -> dict[str, Any]:
-    """The crowds as the frames of a ``truth.json``, for :func:`occlib.metrics.evaluate`."""
-    frames = {
-        str(i): [
-            {"id": thing.id, "x": thing.pose(0)[0], "y": thing.pose(0)[1], "footprint": thing.footprint(0).tolist()}
-            for thing in crowd
-        ]
-        for i, crowd in enumerate(crowds)
-    }
-    return {"units": "m", "frames": frames}
+def truth_of(crowds: Sequence[Sequence[SceneObject]]) -> Truth:
+    """Where the crowds stand, a frame each, for :func:`occlib.metrics.evaluate`."""
+    return Truth({i: [_true_object(each) for each in crowd] for i, crowd in enumerate(crowds)})
+
+
+def _true_object(each: SceneObject) -> TrueObject:
+    x, y, _ = each.pose(0)
+    return TrueObject(id=each.id, x=x, y=y, footprint=tuple(map(tuple, each.footprint(0).tolist())))

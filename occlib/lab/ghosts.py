@@ -92,6 +92,7 @@ def crossings(rig: Rig, crowd: Sequence[SceneObject], *, touch_m: float = 0.03) 
     --------
     Two lamps at right angles, and two tall boxes: one pair of shadows meets, the other points apart.
 
+    >>> from occlib.lab import upright, wall_rig
     >>> pair = [upright("box", at, 0.2, 0.9) for at in [(-0.6, 0.3), (0.0, -0.4)]]
     >>> list(crossings(wall_rig({"left": 180, "front": 270}), pair))
     [(0, 1)]
@@ -148,6 +149,7 @@ def expected_crossings(rig: Rig, count: int, height: float) -> float:
 
     Examples
     --------
+    >>> from occlib.lab import wall_rig
     >>> round(expected_crossings(wall_rig(2), 8, 0.4), 2)
     0.55
     """

@@ -29,16 +29,14 @@ from tqdm import tqdm
 from occlib.base.arrays import FloatArray, Mask
 from occlib.base.extras import pandas as pd
 from occlib.base.intervals import t_interval
-from occlib.explaining.cylinders import Cylinder
-from occlib.explaining.explainer import MaskExplainer, footprints
+from occlib.explaining import Cylinder, Explainer, footprints
 from occlib.geometry import Floor
 from occlib.lab.crowds import random_crowd, upright, wall_rig
 from occlib.lab.scenes import SceneObject
-from occlib.lab.simulation import Simulation, union
-from occlib.live.broadcast import Listener, Publisher
+from occlib.lab.simulation import Simulation, evidence_of, union
+from occlib.live import Listener, Publisher
 from occlib.mapping import MapData, occupancy_map
-from occlib.robots.navigation import Navigator, path_length_m, plan, shorten
-from occlib.robots.reservations import Point, Reservations, Trajectory, position_at
+from occlib.robots import Navigator, Point, Reservations, Trajectory, path_length_m, plan, position_at, shorten
 
 MAPS = ("truth", "one view", "and", "explain", "explain, unknown free")
 """What is broadcast: the true footprints; what the left camera alone cannot see as floor; AND; the objects that explain both
@@ -214,7 +212,7 @@ class _Station:
 
     def __init__(self) -> None:
         self.rig = wall_rig(2, floor=FLOOR, size=(320, 240))
-        self.simulation, self.explainer = Simulation(self.rig), MaskExplainer(self.rig)
+        self.simulation, self.explainer = Simulation(self.rig), Explainer(self.rig)
         self.everywhere = np.ones(FLOOR.shape, bool)
         self.things: list[Cylinder] = []
 
@@ -230,7 +228,7 @@ class _Station:
         else:
             occupied = self.simulation.occupied(masks, "and")
         if kind.startswith("explain"):
-            self.things = self.explainer.explain(masks, self.things)
+            self.things = self.explainer.explain(evidence_of(masks), self.things)
             known, occupied = ~occupied, footprints(self.things, occupied, FLOOR) > 0
         return occupancy_map(occupied, known, FLOOR).data
 

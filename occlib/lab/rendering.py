@@ -6,7 +6,6 @@ Only needed to make ``data/lab`` again or to render a scene of one's own; truth 
 from __future__ import annotations
 
 import ctypes
-import json
 import os
 import sys
 from collections.abc import Iterable
@@ -15,14 +14,16 @@ from pathlib import Path
 from typing import Any
 
 import cv2
+import msgspec
 import numpy as np
 import numpy.typing as npt
 import yaml
 
+from occlib.base import checks
 from occlib.base.arrays import FloatArray, Image, Mask
 from occlib.base.extras import MissingExtraError, check_extra, import_extra
 from occlib.base.files import encode_image, staged_folder, write_file
-from occlib.geometry import Camera, Rig, pixel_rays
+from occlib.geometry import Camera, Rig
 from occlib.lab.scenes import BOARD_PATTERN, Board, Scene, floor_board
 from occlib.lab.shapes import Part, hit_distance, unit_mesh
 from occlib.lab.truth import depth_image, ground_truth
@@ -92,6 +93,9 @@ class Studio:
     """The scene as Mitsuba sees it; objects move without rebuilding it."""
 
     def __init__(self, scene: Scene, *, spp: int) -> None:
+        if scene.room is None:
+            raise ValueError(f"scene: {scene.name!r} has no room to be rendered in")
+        self.room = scene.room
         self.mi, self.scene, self.spp, self.cameras = load_mitsuba(), scene, spp, scene.rig.cameras
         self.integrator = self.mi.load_dict({"type": "path", "max_depth": 5, "rr_depth": 100})
         self.world = self.mi.load_dict(self._description(), optimize=False)
@@ -101,19 +105,19 @@ class Studio:
         self._floor: dict[str, Any] = {}
 
     def _description(self) -> dict[str, Any]:
-        mi, room = self.mi, self.scene.room
-        (x0, x1), (y0, y1), height = room["walls"]["x"], room["walls"]["y"], room["walls"]["height"]
-        light, vinyl, to = room["ceiling_light"], room["vinyl"], mi.ScalarTransform4f
+        mi, room = self.mi, self.room
+        (x0, x1), (y0, y1), height = room.walls.x, room.walls.y, room.walls.height
+        light, vinyl, to = room.ceiling_light, room.vinyl, mi.ScalarTransform4f
         middle, half = [(x0 + x1) / 2, (y0 + y1) / 2], [(x1 - x0) / 2, (y1 - y0) / 2]
-        tiles = to().scale([2 * half[0] / vinyl["tile"], 2 * half[1] / vinyl["tile"], 1])
+        tiles = to().scale([2 * half[0] / vinyl.tile, 2 * half[1] / vinyl.tile, 1])
         texture = {
             "type": "bitmap",
-            "bitmap": mi.Bitmap(vinyl_texture(vinyl["colour"]).astype(np.float32)),
+            "bitmap": mi.Bitmap(vinyl_texture(vinyl.colour).astype(np.float32)),
             "raw": True,
             "to_uv": tiles,
         }
-        wall = self._matte(room["walls"]["colour"])
-        walls = Part("box", (*middle, height / 2), (2 * half[0], 2 * half[1], height), (0, 0, 0))
+        wall = self._matte(room.walls.colour)
+        walls = Part("box", (middle[0], middle[1], height / 2), (2 * half[0], 2 * half[1], height), (0, 0, 0))
         world: dict[str, Any] = {
             "type": "scene",
             "floor": {
@@ -122,8 +126,8 @@ class Studio:
                 "bsdf": {
                     "type": "roughplastic",
                     "distribution": "ggx",
-                    "alpha": vinyl["roughness"],
-                    "int_ior": vinyl["ior"],
+                    "alpha": vinyl.roughness,
+                    "int_ior": vinyl.ior,
                     "diffuse_reflectance": texture,
                 },
             },
@@ -132,10 +136,10 @@ class Studio:
                 "to_world": to()
                 .translate([*middle, height - 0.02])
                 .rotate([1, 0, 0], 180)
-                .scale([light["size"][0] / 2, light["size"][1] / 2, 1]),
+                .scale([light.size[0] / 2, light.size[1] / 2, 1]),
                 "emitter": {
                     "type": "area",
-                    "radiance": {"type": "rgb", "value": [light["radiance"] * c for c in (1.0, 0.985, 0.955)]},
+                    "radiance": {"type": "rgb", "value": [light.radiance * c for c in (1.0, 0.985, 0.955)]},
                 },
             },
             # The floor rectangle lies a hair above the bottom of the box that makes the walls.
@@ -221,7 +225,8 @@ class Studio:
             steps = np.outer(np.arange(1, self.spp + 1), [0.7548776662466927, 0.5698402909980532])
             offsets = steps % 1
             offsets -= offsets.mean(axis=0)  # or the whole picture shifts by a fraction of a pixel
-            rays = np.stack([pixel_rays(self.cameras[name], tuple(o)) for o in offsets], axis=2)
+            camera = self.cameras[name]
+            rays = np.stack([camera.rays(camera.pixel_centres() + offset) for offset in offsets], axis=2)
             rays /= np.linalg.norm(rays, axis=3, keepdims=True)
             self._rays[name] = rays.reshape(-1, self.spp, 3).astype(np.float32)
         return self._rays[name]
@@ -298,16 +303,16 @@ class Studio:
 
     def photograph(self, radiance: FloatArray, name: str, kind: str, index: int) -> Image:
         """Exposure, vignetting, the sRGB curve and sensor noise: uint8 RGB (H, W, 3)."""
-        sensor, camera = self.scene.room["sensor"], self.cameras[name]
+        sensor, camera = self.room.sensor, self.cameras[name]
         width, height = camera.size
         v, u = np.mgrid[:height, :width]
         cx, cy = (width - 1) / 2, (height - 1) / 2
-        fall = 1 - sensor["vignetting"] * ((u - cx) ** 2 + (v - cy) ** 2) / (cx**2 + cy**2)
-        gain = self.scene.room["cameras"][name]["gain"]["background" if kind == "background" else "frames"]
-        clean = to_srgb(radiance * fall[..., None] * sensor["exposure"] * gain)
-        names = list(self.scene.room["cameras"])
+        fall = 1 - sensor.vignetting * ((u - cx) ** 2 + (v - cy) ** 2) / (cx**2 + cy**2)
+        gain = getattr(self.room.cameras[name].gain, "background" if kind == "background" else "frames")
+        clean = to_srgb(radiance * fall[..., None] * sensor.exposure * gain)
+        names = list(self.room.cameras)
         rng = np.random.default_rng([self.scene.seed, names.index(name), index, kind == "background"])
-        sigma = np.sqrt(sensor["read_noise"] ** 2 + sensor["shot_noise"] ** 2 * clean)
+        sigma = np.sqrt(sensor.read_noise**2 + sensor.shot_noise**2 * clean)
         return np.clip(np.rint(clean + sigma * rng.standard_normal(clean.shape)), 0, 255).astype(np.uint8)
 
 
@@ -324,15 +329,14 @@ def scaled_camera(camera: Camera, scale: float) -> Camera:
     """The same view with fewer (or more) pixels."""
     if scale == 1:
         return camera
-    if not 0.02 <= scale <= 4:
-        raise ValueError(f"scale: expected a factor between 0.02 and 4, got {scale}")
+    checks.number("scale", scale, least=0.02, most=4, unit="a factor")
     size = (max(8, round(camera.size[0] * scale)), max(8, round(camera.size[1] * scale)))
     matrix = camera.matrix.copy()
     for axis in (0, 1):
         matrix[axis] *= size[axis] / camera.size[axis]
         matrix[axis, 2] += (size[axis] / camera.size[axis] - 1) / 2  # pixel centres are at integers
     rotation, translation = camera.pose
-    return Camera.from_pose(camera.name, size, matrix, camera.distortion, rotation, translation)
+    return Camera.from_pose(camera.name, size, replace(camera.lens, matrix=matrix), rotation, translation)
 
 
 def render(
@@ -378,7 +382,7 @@ def render(
 
 
 def _write_recording(scene: Scene, studio: Studio, chosen: list[int], out: Path, bar: Any) -> None:
-    quality, cameras = int(scene.room["sensor"]["jpeg_quality"]), scene.rig.cameras
+    quality, cameras = studio.room.sensor.jpeg_quality, scene.rig.cameras
     for name in cameras:  # camera by camera: its rays and its empty room are used again
         for i in range(scene.background):
             picture = studio.photograph(studio.radiance(name, None), name, "background", i)
@@ -398,10 +402,7 @@ def _write_recording(scene: Scene, studio: Studio, chosen: list[int], out: Path,
             bar.update()
         write_file(out / "floor_marks.yaml", _yaml(floor_marks(scene)))
     write_file(out / "rig.yaml", _yaml({"fps": scene.fps, **scene.rig.to_dict()}))
-    truth = ground_truth(scene, frames=chosen)
-    lines = [f"{json.dumps(k)}: {json.dumps(v)}" for k, v in truth.pop("frames").items()]
-    head = json.dumps(truth)[:-1]  # one frame a line: short, and still readable
-    write_file(out / "truth.json", (head + ', "frames": {\n' + ",\n".join(lines) + "\n}}\n").encode())
+    ground_truth(scene, frames=chosen).save(out / "truth.json")
 
 
 def _yaml(content: Any) -> bytes:
@@ -417,5 +418,5 @@ def floor_marks(scene: Scene) -> dict[str, Any]:
                 marks[name].append({"pixel": np.round(pixel, 1).tolist(), "floor": list(mark)})
     content: dict[str, Any] = {"units": {"pixel": "raw image px", "floor": "m"}}
     if scene.floor_board is not None:
-        content["board"] = {"pattern": list(BOARD_PATTERN), **scene.floor_board}
+        content["board"] = {"pattern": list(BOARD_PATTERN), **msgspec.to_builtins(scene.floor_board)}
     return {**content, "marks": marks}

@@ -11,10 +11,11 @@ map and one closed formula.
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -22,11 +23,17 @@ from scipy.spatial import ConvexHull
 
 from occlib.base.arrays import FloatArray
 from occlib.base.files import read_yaml
-from occlib.geometry import Camera, Floor, Rig, look_at, pixel_rays
+from occlib.formats.decoding import convert
+from occlib.formats.scene import RGB, BoardEntry, FloorBoardEntry, ObjectEntry, PartEntry, RoomFile, SceneFile
+from occlib.geometry import Camera, Floor, Rig, look_at
 from occlib.lab.shapes import SHAPES, Part, rotation_xyz, unit_mesh
+from occlib.lens import Lens
 from occlib.recordings import LAB, lab_recordings
 
+T = TypeVar("T")
+
 BOARD_PATTERN = (9, 6)  # inner corners
+GREY = (128, 128, 128)  # of furniture without a colour
 
 
 @dataclass(frozen=True)
@@ -44,7 +51,7 @@ class SceneObject:
 
     id: str
     label: str
-    colour: tuple[int, int, int]
+    colour: tuple[float, float, float]
     parts: tuple[Part, ...]
     path: tuple[Waypoint, ...]
 
@@ -111,7 +118,7 @@ class Scene:
 
     name: str
     folder: Path
-    room: dict[str, Any]
+    room: RoomFile | None
     rig: Rig
     frames: int
     background: int
@@ -119,14 +126,14 @@ class Scene:
     fps: float
     objects: tuple[SceneObject, ...]
     boards: tuple[Board, ...] = ()
-    floor_board: dict[str, Any] | None = None
+    floor_board: FloorBoardEntry | None = None
     marks: tuple[tuple[float, float], ...] = ()
     furniture: tuple[Part, ...] = field(default=(), repr=False)
 
     @cached_property
     def rays(self) -> dict[str, FloatArray]:
         """Directions (H, W, 3) through the pixel centres of each camera, in the world."""
-        return {name: pixel_rays(camera) for name, camera in self.rig.cameras.items()}
+        return {name: camera.rays() for name, camera in self.rig.cameras.items()}
 
 
 def load_scene(source: str | Path) -> Scene:
@@ -140,159 +147,81 @@ def load_scene(source: str | Path) -> Scene:
     if not path.exists() and len(path.parts) == 1:
         raise ValueError(f"{source}: no such scene ({lab_recordings()})")
     path = path / "scene.yaml" if path.is_dir() else path
-    content = _mapping(path)
+    content = _read(path, SceneFile, "scene")
+    room_path = path.parent / content.room
+    room = _read(room_path, RoomFile, room_path.name, vinyl=content.vinyl)
     try:
-        _check(
-            content,
-            "scene",
-            {"room", "cameras", "frames"},
-            {"background", "seed", "fps", "objects", "boards", "floor_board", "marks", "vinyl"},
-        )
-        room_path = path.parent / str(content["room"])
-        room = _mapping(room_path)
-        _check(
-            room,
-            room_path.name,
-            {"units", "floor", "walls", "vinyl", "ceiling_light", "cameras", "sensor"},
-            {"furniture"},
-        )
-        room = {**room, "vinyl": {**room["vinyl"], **content.get("vinyl", {})}}
-        rig = _rig(room, content["cameras"])
-        scene = Scene(
+        rig = _rig(room, content.cameras)
+        return Scene(
             name=path.resolve().parent.name,
             folder=path.resolve().parent,
             room=room,
             rig=rig,
-            frames=_count(content["frames"], "frames"),
-            background=_count(content.get("background", 1), "background"),
-            seed=_count(content.get("seed", 0), "seed"),
-            fps=float(content.get("fps", 10)),
-            objects=tuple(_object(o, i) for i, o in enumerate(content.get("objects", []))),
-            boards=tuple(_board(b, i, rig) for i, b in enumerate(content.get("boards", []))),
-            floor_board=content.get("floor_board"),
-            marks=tuple((float(x), float(y)) for x, y in content.get("marks", [])),
-            furniture=tuple(
-                _part(p, f"furniture[{i}]", (128, 128, 128)) for i, p in enumerate(room.get("furniture", []))
-            ),
+            frames=content.frames,
+            background=content.background,
+            seed=content.seed,
+            fps=content.fps,
+            objects=tuple(_object(entry, i) for i, entry in enumerate(content.objects)),
+            boards=tuple(_board(board, rig) for board in content.boards),
+            floor_board=content.floor_board,
+            marks=tuple(content.marks),
+            furniture=tuple(_part(part, f"furniture[{i}]", GREY) for i, part in enumerate(room.furniture)),
         )
-    except (TypeError, KeyError, AttributeError) as error:
-        raise ValueError(f"{path}: malformed scene ({type(error).__name__}: {error})") from None
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from None
-    names = [o.id for o in scene.objects]
-    if len(set(names)) != len(names):
-        raise ValueError(f"{path}: objects: ids must differ, got {names}")
-    return scene
 
 
-def _mapping(path: Path) -> dict[str, Any]:
+def _read(path: Path, kind: type[T], name: str, *, vinyl: Mapping[str, Any] | None = None) -> T:
+    """A YAML file as a structure; ``vinyl`` replaces fields of its mapping of that name."""
     content = read_yaml(path)
-    if not isinstance(content, dict):
-        raise ValueError(f"{path}: expected a mapping")
-    return content
-
-
-def _check(fields: Any, where: str, required: set[str], optional: set[str]) -> None:
-    if not isinstance(fields, dict):
-        raise ValueError(f"{where}: expected a mapping, got {str(fields)[:40]}")
-    if unknown := sorted(map(str, set(fields) - required - optional)):
-        raise ValueError(f"{where}: unknown field {unknown[0]!r}; known are {', '.join(sorted(required | optional))}")
-    if missing := sorted(required - set(fields)):
-        raise ValueError(f"{where}: field {missing[0]!r} is missing")
-
-
-def _count(value: Any, name: str) -> int:
-    if isinstance(value, bool) or not isinstance(value, int) or value < 0:
-        raise ValueError(f"{name}: expected a whole number >= 0, got {value!r}")
-    return value
-
-
-def _vector(value: Any, length: int, name: str) -> tuple[Any, ...]:
+    if vinyl and isinstance(content, Mapping) and isinstance(content.get("vinyl"), Mapping):
+        content = {**content, "vinyl": {**content["vinyl"], **vinyl}}
     try:
-        array = np.asarray(value, dtype=float)
-    except (TypeError, ValueError):
-        array = np.array(np.nan)
-    if array.shape != (length,) or not np.isfinite(array).all():
-        raise ValueError(f"{name}: expected {length} finite numbers, got {str(value)[:60]}")
-    return tuple(value)
+        return convert(content, kind, name, inside="", strict=False)
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from None
 
 
-def _part(fields: Any, where: str, colour: tuple[int, int, int]) -> Part:
-    _check(fields, where, {"shape", "centre", "size"}, {"colour", "turn"})
-    if fields["shape"] not in SHAPES:
-        raise ValueError(f"{where}.shape: expected one of {', '.join(SHAPES)}, got {fields['shape']!r}")
-    size = _vector(fields["size"], 3, f"{where}.size")
-    if min(size) <= 0:
-        raise ValueError(f"{where}.size: expected three lengths > 0, got {list(size)}")
-    return Part(
-        fields["shape"],
-        _vector(fields["centre"], 3, f"{where}.centre"),
-        size,
-        _vector(fields.get("colour", colour), 3, f"{where}.colour"),
-        _vector(fields.get("turn", (0, 0, 0)), 3, f"{where}.turn"),
-    )
+def _part(entry: PartEntry, where: str, colour: RGB) -> Part:
+    if entry.shape not in SHAPES:
+        raise ValueError(f"{where}.shape: expected one of {', '.join(SHAPES)}, got {entry.shape!r}")
+    return Part(entry.shape, entry.centre, entry.size, entry.colour or colour, entry.turn)
 
 
-def _object(fields: Any, index: int) -> SceneObject:
-    where = f"objects[{index}]"
-    _check(fields, where, {"id", "label", "colour", "parts", "path"}, set())
-    colour = _vector(fields["colour"], 3, f"{where}.colour")
-    parts = tuple(_part(p, f"{where}.parts[{i}]", colour) for i, p in enumerate(fields["parts"]))
-    path = []
-    for i, waypoint in enumerate(fields["path"]):
-        _check(waypoint, f"{where}.path[{i}]", {"frame", "at"}, {"heading"})
-        at = _vector(waypoint["at"], 2, f"{where}.path[{i}].at")
-        heading = waypoint.get("heading")
-        if heading is not None:
-            (heading,) = _vector([heading], 1, f"{where}.path[{i}].heading")
-        path.append(Waypoint(_count(waypoint["frame"], f"{where}.path[{i}].frame"), at, heading))
-    times = [w.frame for w in path]
-    if not parts or not times or sorted(set(times)) != times:
-        raise ValueError(f"{where}: expected parts, and a path whose frames increase, got frames {times}")
-    return SceneObject(str(fields["id"]), str(fields["label"]), colour, parts, tuple(path))
+def _object(entry: ObjectEntry, index: int) -> SceneObject:
+    parts = tuple(_part(part, f"objects[{index}].parts[{i}]", entry.colour) for i, part in enumerate(entry.parts))
+    path = tuple(Waypoint(waypoint.frame, waypoint.at, waypoint.heading) for waypoint in entry.path)
+    return SceneObject(str(entry.id), str(entry.label), entry.colour, parts, path)
 
 
-def _rig(room: dict[str, Any], names: Any) -> Rig:
-    floor = Floor(tuple(room["floor"]["x"]), tuple(room["floor"]["y"]), room["floor"]["resolution"])
-    if not isinstance(names, list) or not names:
-        raise ValueError(f"cameras: expected a list of names, got {names!r}")
+def _rig(room: RoomFile, names: Sequence[str]) -> Rig:
     cameras = {}
     for name in names:
-        if name not in room["cameras"]:
-            raise ValueError(f"cameras: {name!r} is not in the room; it has {', '.join(room['cameras'])}")
-        fields = room["cameras"][name]
-        _check(
-            fields,
-            f"cameras.{name}",
-            {"position", "look_at", "size", "focal", "principal_point", "distortion", "gain"},
-            set(),
-        )
-        (fx, fy), (cx, cy) = fields["focal"], fields["principal_point"]
-        rotation = look_at(fields["position"], fields["look_at"])
+        if name not in room.cameras:
+            raise ValueError(f"cameras: {name!r} is not in the room; it has {', '.join(room.cameras)}")
+        camera = room.cameras[name]
+        (fx, fy), (cx, cy) = camera.focal, camera.principal_point
+        rotation = look_at(camera.position, camera.look_at)
         cameras[name] = Camera.from_pose(
             name,
-            tuple(fields["size"]),
-            [[fx, 0, cx], [0, fy, cy], [0, 0, 1]],
-            fields["distortion"],
+            camera.size,
+            Lens(np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]]), np.array(camera.distortion, np.float64)),
             rotation,
-            -rotation @ np.asarray(fields["position"], float),
+            -rotation @ np.asarray(camera.position, float),
         )
-    return Rig(floor, cameras)
+    return Rig(Floor(room.floor.x, room.floor.y, room.floor.resolution), cameras)
 
 
-def _board(fields: Any, index: int, rig: Rig) -> Board:
+def _board(entry: BoardEntry, rig: Rig) -> Board:
     """A board held before a camera: its centre at a pixel and a distance, turned from facing it squarely."""
-    where = f"boards[{index}]"
-    _check(fields, where, {"camera", "square", "pixel", "distance", "turn"}, set())
-    camera = rig[str(fields["camera"])]
-    ray = (camera.undistort_points([fields["pixel"]]) - camera.matrix[:2, 2]) / camera.matrix[[0, 1], [0, 1]]
-    direction = np.array([*ray[0], 1.0])
+    camera = rig[str(entry.camera)]
+    (direction,) = camera.lens.directions([entry.pixel])
     rotation, translation = camera.pose
     pose = np.eye(4)
     # The board's y axis points up in the picture, its z axis towards the camera: half a turn about x.
-    pose[:3, :3] = rotation.T @ rotation_xyz((180, 0, 0)) @ rotation_xyz(_vector(fields["turn"], 3, f"{where}.turn"))
-    pose[:3, 3] = rotation.T @ (direction / np.linalg.norm(direction) * float(fields["distance"]) - translation)
-    return Board(camera.name, float(fields["square"]), pose)
+    pose[:3, :3] = rotation.T @ rotation_xyz((180, 0, 0)) @ rotation_xyz(entry.turn)
+    pose[:3, 3] = rotation.T @ (direction / np.linalg.norm(direction) * entry.distance - translation)
+    return Board(camera.name, entry.square, pose)
 
 
 def floor_board(scene: Scene) -> Board | None:
@@ -304,8 +233,8 @@ def floor_board(scene: Scene) -> Board | None:
     if scene.floor_board is None:
         return None
     columns, rows = BOARD_PATTERN
-    square, pose = float(scene.floor_board["square"]), np.eye(4)
-    pose[:3, :3] = rotation_xyz((0.0, 0.0, float(scene.floor_board["angle_deg"])))
-    pose[:2, 3] = scene.floor_board["origin"]
+    square, pose = float(scene.floor_board.square), np.eye(4)
+    pose[:3, :3] = rotation_xyz((0.0, 0.0, float(scene.floor_board.angle_deg)))
+    pose[:2, 3] = scene.floor_board.origin
     pose[:3, 3] += pose[:3, :2] @ np.array([columns - 1, rows - 1]) * square / 2
     return Board(None, square, pose)

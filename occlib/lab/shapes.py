@@ -19,7 +19,7 @@ class Part:
     shape: str
     centre: tuple[float, float, float]
     size: tuple[float, float, float]
-    colour: tuple[int, int, int]
+    colour: tuple[float, float, float]
     turn: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     @property

@@ -12,16 +12,17 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from occlib.base import checks
 from occlib.base.arrays import FloatArray, Mask, as_points
-from occlib.explaining.explainer import MaskExplainer
-from occlib.explaining.search import DEFAULT, Explanation
+from occlib.explaining import Explainer, Explaining
+from occlib.foreground import Evidence
 from occlib.geometry import Rig
 from occlib.lab.crowds import places_m, truth_of
 from occlib.lab.ghosts import LEAST_AREA_M2, crossings, expected_crossings, ghost_regions
@@ -37,7 +38,7 @@ PLANES_M = (0.0, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3)
 
 
 EXPLAIN = ("explain", "explain, one spare")
-"""Rules that are no vote on cells: :class:`MaskExplainer`, the second with one view that may miss an object."""
+"""Rules that are no vote on cells: :class:`occlib.explaining.Explainer`, the second with one view that may miss an object."""
 
 
 @dataclass(frozen=True)
@@ -51,11 +52,12 @@ class Simulation:
     trust
         What a view's "yes" and "no" are worth as probabilities, for the rules that weigh evidence. A "yes" may be
         another object's shadow, so it is worth less than a "no".
-    how
+    settings
         For the rules ``"explain"`` and ``"explain, one spare"``: the latter looks also where one view sees nothing.
 
     Examples
     --------
+    >>> from occlib.lab import random_crowd, wall_rig
     >>> simulation = Simulation(wall_rig(2))
     >>> crowd = random_crowd(2, np.random.default_rng(1))
     >>> found = simulation.places(simulation.masks(crowd), "and")
@@ -65,12 +67,12 @@ class Simulation:
 
     rig: Rig
     trust: tuple[float, float] = (0.8, 0.1)
-    how: Explanation = DEFAULT
+    settings: Explaining = field(default_factory=Explaining)
 
     @cached_property
     def _scene(self) -> Scene:
         """Holds the pixels' rays; the objects come later."""
-        return Scene("crowd", Path(), {}, self.rig, frames=1, background=0, seed=0, fps=10.0, objects=())
+        return Scene("crowd", Path(), None, self.rig, frames=1, background=0, seed=0, fps=10.0, objects=())
 
     @cached_property
     def _warps(self) -> dict[str, FloorWarp]:
@@ -81,8 +83,8 @@ class Simulation:
         return {n: [FloorWarp(c, self.rig.floor, z) for z in PLANES_M] for n, c in self.rig.cameras.items()}
 
     @cached_property
-    def _explainers(self) -> dict[str, MaskExplainer]:
-        return {name: MaskExplainer(self.rig, self.how, spare=spare) for spare, name in enumerate(EXPLAIN)}
+    def _explainers(self) -> dict[str, Explainer]:
+        return {name: Explainer(self.rig, replace(self.settings, spare=spare)) for spare, name in enumerate(EXPLAIN)}
 
     def silhouettes(self, crowd: Sequence[SceneObject]) -> dict[str, Mask]:
         """Each object's silhouette as if it were alone, ``{camera: bool (n, H, W)}``."""
@@ -107,13 +109,12 @@ class Simulation:
 
     def occupied(self, masks: Mapping[str, Mask], rule: str = "and") -> Mask:
         """The map of a rule of :func:`occlib.occlusion.fuse`, bool (ny, nx); two cameras (if there are two) must see a cell."""
-        if rule not in RULES:
-            raise ValueError(f"rule: expected one of {', '.join(RULES)}, got {rule!r}")
+        checks.choice("rule", rule, RULES)
         visible: list[Mask] = [self._warps[name].visible for name in masks]
-        if rule == "planes":
+        if RULES[rule].planes:
             views = [np.stack([plane.warp(mask) for plane in self._planes[name]]) for name, mask in masks.items()]
             fused = fuse(views, rule, visible=[np.stack([p.visible for p in self._planes[name]]) for name in masks])
-        elif rule in ("product", "log-odds"):
+        elif RULES[rule].soft:
             yes, no = self.trust
             fused = (
                 fuse([np.where(view, yes, no) for view in self.on_floor(masks).values()], rule, visible=visible) > 0.5
@@ -125,12 +126,10 @@ class Simulation:
     def places(self, masks: Mapping[str, Mask], rule: str = "and") -> FloatArray:
         """Where a rule puts objects, (N, 2) in m: centroids of its regions, or the axes of ``"explain"``'s cylinders."""
         if rule in EXPLAIN:
-            return as_points([(c.x, c.y) for c in self._explainers[rule].explain(masks)])
+            return as_points([(c.x, c.y) for c in self._explainers[rule].explain(evidence_of(masks))])
         floor = self.rig.floor
         regions = find_regions(self.occupied(masks, rule), min_area=LEAST_AREA_M2 / floor.cell_area)[1]
-        return as_points([region.centroid for region in regions]) * floor.resolution + (
-            np.array([floor.x[0], floor.y[0]]) + floor.resolution / 2
-        )
+        return floor.points([region.centroid for region in regions])
 
     def cost_ms(self, masks: Sequence[Mapping[str, Mask]], rule: str, *, repeats: int = 3) -> float:
         """Median time from the masks of an instant to the objects' places, in ms, after one run to warm up."""
@@ -220,6 +219,11 @@ def covered_share(
     return float(np.mean(np.concatenate(covered)))
 
 
+def evidence_of(masks: Mapping[str, Mask]) -> dict[str, Evidence]:
+    """Masks ``{camera: bool (H, W)}`` as evidence that is sure of every pixel."""
+    return {name: Evidence.of_mask(mask) for name, mask in masks.items()}
+
+
 def union(silhouettes: Mapping[str, Mask], kept: Mapping[str, Mask] | None = None) -> dict[str, Mask]:
     """Silhouettes ``{camera: bool (n, H, W)}`` to one mask a camera, without those not ``kept`` ``{camera: bool (n,)}``."""
     return {n: np.any(one if kept is None else one[kept[n]], axis=0) for n, one in silhouettes.items()}
@@ -231,8 +235,7 @@ def misses(cameras: Iterable[str], count: int, recall: float, rng: np.random.Gen
     >>> {name: kept.all() for name, kept in misses(["left"], 3, 1.0, np.random.default_rng(0)).items()}
     {'left': np.True_}
     """
-    if not 0 <= recall <= 1:
-        raise ValueError(f"recall: expected a probability, got {recall}")
+    checks.number("recall", recall, least=0, most=1, unit="a probability")
     return {name: np.asarray(rng.random(count) < recall) for name in cameras}
 
 
@@ -242,7 +245,7 @@ def votes_needed(rule: str, cameras: int, trust: tuple[float, float] = (0.8, 0.1
     >>> [votes_needed(rule, 4) for rule in ("and", "most", "product", "log-odds", "or")]
     [4, 3, 4, 3, 1]
     """
-    yes, no = trust if rule in ("product", "log-odds") else (1.0, 0.0)
+    yes, no = trust if RULES[rule].soft else (1.0, 0.0)
     for count in range(1, cameras + 1):
         if fuse([np.array([[yes if i < count else no]]) for i in range(cameras)], rule)[0, 0] > 0.5:
             return count

@@ -3,23 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Any
 
 import numpy as np
 
 from occlib.base.arrays import FloatArray, Mask
+from occlib.formats import TrueObject, Truth
 from occlib.geometry import Camera
 from occlib.lab.scenes import Scene, SceneObject
 from occlib.lab.shapes import hit_distance, unit_mesh
 
 
 def depth_image(
-    scene: Scene, camera: Camera, thing: SceneObject, frame: float
+    scene: Scene, camera: Camera, item: SceneObject, frame: float
 ) -> tuple[FloatArray, tuple[slice, slice]]:
     """Distances to one object and the window of the picture that they cover."""
     width, height = camera.size
     origin, rays = camera.centre_m, scene.rays[camera.name]
-    matrices = thing.matrices(frame)
+    matrices = item.matrices(frame)
     corners = np.vstack([unit_mesh("box")[0] @ m[:3, :3].T + m[:3, 3] for m in matrices])
     pixels = camera.project(corners)
     if np.isnan(pixels).any():
@@ -31,7 +31,7 @@ def depth_image(
     window = (slice(r0, r1), slice(c0, c1))
     view = rays[window].reshape(-1, 3)
     depth = np.full(len(view), np.inf)
-    for part, matrix in zip(thing.parts, matrices, strict=True):
+    for part, matrix in zip(item.parts, matrices, strict=True):
         depth = np.minimum(depth, hit_distance(part.shape, matrix, origin, view))
     return depth.reshape(r1 - r0, c1 - c0), window
 
@@ -45,7 +45,7 @@ def silhouettes(scene: Scene, frame: int) -> dict[str, dict[str, tuple[Mask, Mas
     for name, camera in scene.rig.cameras.items():
         shape = camera.size[::-1]
         nearest = np.full(shape, np.inf)
-        depths = {thing.id: depth_image(scene, camera, thing, frame) for thing in scene.objects}
+        depths = {each.id: depth_image(scene, camera, each, frame) for each in scene.objects}
         for depth, window in depths.values():
             nearest[window] = np.minimum(nearest[window], depth)
         result[name] = {}
@@ -57,36 +57,39 @@ def silhouettes(scene: Scene, frame: int) -> dict[str, dict[str, tuple[Mask, Mas
     return result
 
 
-def ground_truth(scene: Scene, *, frames: Iterable[int] | None = None) -> dict[str, Any]:
-    """The content of ``truth.json``: places, footprints, heights and hidden fractions, by ray casting.
+def ground_truth(scene: Scene, *, frames: Iterable[int] | None = None) -> Truth:
+    """Places, footprints, heights and hidden fractions of a scene's objects, by ray casting.
 
     ``hidden_fraction`` is 1 - visible / amodal pixels; an object outside the picture has no entry.
     """
-    content: dict[str, Any] = {}
-    for frame in range(scene.frames) if frames is None else frames:
-        masks = silhouettes(scene, frame)
-        content[str(frame)] = []
-        for thing in scene.objects:
-            x, y, heading = thing.pose(frame)
-            counts = {name: [int(m.sum()) for m in masks[name][thing.id]] for name in masks}
-            content[str(frame)].append(
-                {
-                    "id": thing.id,
-                    "x": round(x, 4),
-                    "y": round(y, 4),
-                    "heading_deg": round(heading, 2),
-                    "label": thing.label,
-                    "colour": list(thing.colour),
-                    "height": round(thing.height, 4),
-                    "footprint": np.round(_thin(thing.footprint(frame)), 4).tolist(),
-                    "hidden_fraction": {
-                        name: round(1 - visible / amodal, 6) for name, (amodal, visible) in counts.items() if amodal
-                    },
-                }
-            )
+    chosen = range(scene.frames) if frames is None else sorted(set(frames))
     (x0, x1), (y0, y1) = scene.rig.floor.x, scene.rig.floor.y
-    roi = {"floor": [[x0, y0], [x1, y0], [x1, y1], [x0, y1]]}
-    return {"units": "m", "frames": content, "roi": roi}
+    roi: dict[str, tuple[tuple[float, float], ...]] = {"floor": ((x0, y0), (x1, y0), (x1, y1), (x0, y1))}
+    return Truth({frame: _true_objects(scene, frame) for frame in chosen}, roi)
+
+
+def _true_objects(scene: Scene, frame: int) -> list[TrueObject]:
+    masks, found = silhouettes(scene, frame), []
+    for each in scene.objects:
+        x, y, heading = each.pose(frame)
+        counts = {name: [int(mask.sum()) for mask in masks[name][each.id]] for name in masks}
+        outline = np.round(_thin(each.footprint(frame)), 4)
+        found.append(
+            TrueObject(
+                id=each.id,
+                x=round(x, 4),
+                y=round(y, 4),
+                heading_deg=round(heading, 2),
+                label=each.label,
+                colour=each.colour,
+                height=round(each.height, 4),
+                footprint=tuple((float(u), float(v)) for u, v in outline),
+                hidden_fraction={
+                    name: round(1 - visible / amodal, 6) for name, (amodal, visible) in counts.items() if amodal
+                },
+            )
+        )
+    return found
 
 
 def _thin(polygon: FloatArray, most: int = 24) -> FloatArray:

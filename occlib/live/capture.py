@@ -18,6 +18,7 @@ from typing import Any, Protocol, Self
 import cv2
 import numpy as np
 
+from occlib.base import checks
 from occlib.base.arrays import Image
 from occlib.recordings import DEFAULT_FPS, Recording
 
@@ -146,8 +147,7 @@ class Capture:
         if not sources:
             raise ValueError("sources: expected one or more cameras, got none")
         for name, value in (("tolerance_s", tolerance_s), ("give_up_s", give_up_s)):
-            if not (np.isfinite(value) and value > 0):
-                raise ValueError(f"{name}: expected seconds > 0, got {value}")
+            checks.number(name, value, above=0, unit="seconds")
         self.tolerance_s, self.give_up_s = tolerance_s, give_up_s
         self.dropped, self.ended = dict.fromkeys(sources, 0), dict[str, str]()
         self._sources = dict(sources)
@@ -285,6 +285,8 @@ class Player:
     ----------
     dropped : dict of str to int
         For each camera the pictures that were skipped.
+    ended : dict of str to str
+        As in :class:`Capture`; always empty.
 
     Raises
     ------
@@ -294,10 +296,12 @@ class Player:
 
     def __init__(self, recording: Recording, *, rate: float | None = None, loop: bool = False) -> None:
         self.rate = recording.fps if rate is None else rate
-        if not (np.isfinite(self.rate) and self.rate >= 0):
-            raise ValueError(f"rate: expected instants a second >= 0, got {rate}")
+        checks.number("rate", self.rate, least=0, unit="instants a second")
         self.recording, self.loop = recording, loop
-        self.dropped = dict.fromkeys(recording.rig.cameras, 0)
+        self.dropped, self.ended = dict.fromkeys(recording.rig.cameras, 0), dict[str, str]()
+
+    def close(self) -> None:
+        """Nothing to do; for who has either a player or a :class:`Capture`."""
 
     def __iter__(self) -> Iterator[Paired]:
         begun = due = back = None

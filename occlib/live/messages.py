@@ -10,7 +10,7 @@ and nobody else does. Each message has three frames:
    and when the message left, in s since 1970-01-01 UTC; ``floor``, ``{"x": [min, max], "y": [min, max], "resolution"}`` in m
    as in ``rig.yaml``; ``width`` and ``height`` of the map in cells; ``objects``, a list of the entries of ``objects.jsonl``:
    ``id`` (whole number), ``x``, ``y`` (m), ``vx``, ``vy`` (m/s by the clock of ``t_capture``), ``area`` (m2), ``colour`` (``[r, g, b]``,
-   each 0 to 255), ``label`` (string or null), ``hidden_in`` (a list of cameras);
+   each 0 to 255), ``label`` (string or null), ``hidden_in`` (a list of cameras) and, but for old publishers, ``size`` (m2 or null);
 2. the map, ``width * height`` int8, row by row, the row of the smallest ``y`` first, each with the smallest ``x`` first: the
    ``data`` of a ``nav_msgs/OccupancyGrid``, -1 unknown, 0 (free) to 100 (occupied). Not compressed: on loopback that costs
    more time than it saves.
@@ -41,30 +41,24 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import msgspec
 import numpy as np
 import numpy.typing as npt
 
+from occlib.formats.decoding import convert, short
+from occlib.formats.message import MAX_CELLS, MAX_OBJECTS, MAX_TEXT, Header, MapObject
 from occlib.geometry import Floor
 
 TOPIC, LAST = b"occlib/1/map", b"occlib/1/last/"
 
+MAX_HEADER = 1 << 20  # bytes
 
-MAX_HEADER, MAX_CELLS, MAX_OBJECTS, MAX_TEXT = 1 << 20, 20_000_000, 2000, 200
+OBJECT_FIELDS, HEADER_FIELDS = MapObject.__struct_fields__, Header.__struct_fields__
 
-
-NUMBERS = ("x", "y", "vx", "vy", "area")
-
-
-OBJECT_FIELDS = ("id", *NUMBERS, "colour", "label", "hidden_in")
-
-
-HEADER_FIELDS = ("session", "sequence", "t_capture", "t_sent", "floor", "width", "height", "objects")
-
-
-_LARGEST = 1e12  # of any number: metres, seconds since 1970
-
-
-_WHOLE = 2**53  # beyond this not every whole number is a JavaScript number
+__all__ = [
+    "HEADER_FIELDS", "LAST", "MAX_CELLS", "MAX_HEADER", "MAX_OBJECTS", "MAX_TEXT", "OBJECT_FIELDS", "TOPIC", "Message",
+    "decode", "encode", "short",
+]  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,16 +97,12 @@ class Message:
     def __post_init__(self) -> None:
         if not isinstance(self.floor, Floor):
             raise ValueError(f"floor: expected a Floor, got {type(self.floor).__name__}")
-        _whole(self.sequence, "sequence", 1, _WHOLE)
-        for name in ("t_capture", "t_sent"):
-            object.__setattr__(self, name, _number(getattr(self, name), name, low=0.0))
-        if not isinstance(self.session, str) or not re.fullmatch("[0-9a-f]{32}", self.session):
-            raise ValueError(f"session: expected 32 hexadecimal digits, got {short(self.session)}")
-        area = self.floor
-        x, y = _pair(area.x, "floor.x"), _pair(area.y, "floor.y")
-        object.__setattr__(self, "floor", Floor(x, y, _number(area.resolution, "floor.resolution")))
-        object.__setattr__(self, "objects", _objects(self.objects))
-        object.__setattr__(self, "data", _cells(self.data, self.floor))
+        header = convert(_header(self), Header, "header", inside="")
+        floor = Floor(header.floor.x, header.floor.y, header.floor.resolution)
+        objects = tuple(msgspec.to_builtins(each) for each in header.objects)
+        checked = {"t_capture": header.t_capture, "t_sent": header.t_sent, "floor": floor, "objects": objects}
+        for name, value in {**checked, "data": _cells(self.data, floor)}.items():
+            object.__setattr__(self, name, value)
 
     def __eq__(self, other: object) -> bool:
         """Same header, same cells."""
@@ -151,32 +141,23 @@ def decode(frames: Sequence[bytes]) -> Message:
     topic, text, cells = frames
     if topic != TOPIC and not re.fullmatch(re.escape(LAST) + b"[0-9a-f]{32}", topic):
         raise ValueError(f"topic: expected {TOPIC.decode()}, got {short(topic)}")
-    fields = _fields(_json(text), HEADER_FIELDS, "header")
-    area = _fields(fields["floor"], ("x", "y", "resolution"), "floor")
-    x, y = (_pair(area[axis], f"floor.{axis}") for axis in "xy")
-    floor = Floor(x, y, _number(area["resolution"], "floor.resolution"))
+    header = convert(_json(text), Header, "header", inside="")
+    floor = Floor(header.floor.x, header.floor.y, header.floor.resolution)
     ny, nx = floor.shape
-    if (_whole(fields["width"], "width", 1, MAX_CELLS), _whole(fields["height"], "height", 1, MAX_CELLS)) != (nx, ny):
-        raise ValueError(
-            f"width, height: expected {nx}, {ny} for this floor, got {fields['width']}, {fields['height']}"
-        )
+    if (header.width, header.height) != (nx, ny):
+        raise ValueError(f"width, height: expected {nx}, {ny} for this floor, got {header.width}, {header.height}")
     if len(cells) != nx * ny:
         raise ValueError(f"cells: expected {nx * ny} bytes, got {len(cells)}")
     data = np.frombuffer(bytes(cells), np.int8).reshape(ny, nx)
-    plain = {name: fields[name] for name in ("sequence", "t_capture", "t_sent", "objects", "session")}
-    return Message(data=data, floor=floor, **plain)
+    objects = [msgspec.to_builtins(each) for each in header.objects]
+    return Message(header.sequence, header.t_capture, header.t_sent, data, floor, objects, header.session)
 
 
 def _header(message: Message) -> dict[str, Any]:
     floor, (height, width) = message.floor, message.floor.shape
     area = {"x": list(floor.x), "y": list(floor.y), "resolution": floor.resolution}
     own = {name: getattr(message, name) for name in ("session", "sequence", "t_capture", "t_sent")}
-    return {**own, "floor": area, "width": width, "height": height, "objects": list(message.objects)}
-
-
-def short(value: Any) -> str:
-    """The start of a value, in ASCII, for an error message."""
-    return ascii(value[:60] if isinstance(value, str | bytes) else value)[:60]
+    return {**own, "floor": area, "width": width, "height": height, "objects": message.objects}
 
 
 def _json(text: bytes) -> Any:
@@ -196,65 +177,6 @@ def _json(text: bytes) -> Any:
         return json.loads(text.decode("utf-8"), parse_constant=constant, object_pairs_hook=pairs)
     except (ValueError, RecursionError) as error:
         raise ValueError(f"header: expected JSON in UTF-8, got {short(text)} ({short(str(error))})") from None
-
-
-def _fields(value: Any, names: Sequence[str], what: str) -> dict[str, Any]:
-    if not isinstance(value, Mapping):
-        raise ValueError(f"{what}: expected the fields {', '.join(names)}, got {short(value)}")
-    if value.keys() != set(names):
-        wrong = [short(name) for name in [*(n for n in names if n not in value), *(n for n in value if n not in names)]]
-        raise ValueError(
-            f"{what}: expected the fields {', '.join(names)}; missing or not known: {', '.join(wrong[:3])}"
-        )
-    return dict(value)
-
-
-def _number(value: Any, name: str, low: float = -_LARGEST) -> float:
-    if not isinstance(value, int | float) or isinstance(value, bool) or not low <= value <= _LARGEST:
-        raise ValueError(f"{name}: expected a number from {low:g} to {_LARGEST:g}, got {short(value)}")
-    return float(value)
-
-
-def _whole(value: Any, name: str, low: int, high: int) -> int:
-    if not isinstance(value, int) or isinstance(value, bool) or not low <= value <= high:
-        raise ValueError(f"{name}: expected a whole number from {low} to {high}, got {short(value)}")
-    return value
-
-
-def _text(value: Any, name: str) -> str:
-    if not isinstance(value, str) or len(value) > MAX_TEXT or not value.isprintable():  # no escape codes to a terminal
-        raise ValueError(f"{name}: expected at most {MAX_TEXT} printable characters, got {short(value)}")
-    return value
-
-
-def _list(value: Any, name: str, most: int, least: int = 0) -> list[Any]:
-    if not isinstance(value, list | tuple) or not least <= len(value) <= most:
-        raise ValueError(f"{name}: expected a list of {least} to {most}, got {short(value)}")
-    return list(value)
-
-
-def _pair(value: Any, name: str) -> tuple[float, float]:
-    low, high = (_number(item, name) for item in _list(value, name, 2, 2))
-    return low, high
-
-
-def _objects(value: Any) -> tuple[dict[str, Any], ...]:
-    """Checked copies of the entries of objects.jsonl."""
-    things = []
-    for i, entry in enumerate(_list(value, "objects", MAX_OBJECTS)):
-        where = f"objects[{i}]"
-        fields = _fields(entry, OBJECT_FIELDS, where)
-        checked: dict[str, Any] = {"id": _whole(fields["id"], f"{where}.id", 0, _WHOLE)}
-        for name in NUMBERS:
-            checked[name] = _number(fields[name], f"{where}.{name}", low=0.0 if name == "area" else -_LARGEST)
-        colour = _list(fields["colour"], f"{where}.colour", 3, 3)
-        checked["colour"] = [_whole(level, f"{where}.colour", 0, 255) for level in colour]
-        checked["label"] = None if fields["label"] is None else _text(fields["label"], f"{where}.label")
-        hidden = _list(fields["hidden_in"], f"{where}.hidden_in", 64)
-        things.append({**checked, "hidden_in": [_text(name, f"{where}.hidden_in") for name in hidden]})
-    if len({thing["id"] for thing in things}) < len(things):
-        raise ValueError("objects: expected different ids, got one twice")
-    return tuple(things)
 
 
 def _cells(data: Any, floor: Floor) -> npt.NDArray[np.int8]:

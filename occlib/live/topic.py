@@ -9,6 +9,7 @@ from __future__ import annotations
 from types import TracebackType
 from typing import Any
 
+from occlib.base import checks
 from occlib.base.extras import import_extra
 from occlib.live.bags import TYPE, grid_message
 from occlib.mapping import OccupancyMap
@@ -47,8 +48,7 @@ class MapTopic:
     """
 
     def __init__(self, domain: int = 0, *, topic: str = TOPIC) -> None:
-        if not isinstance(domain, int) or isinstance(domain, bool) or not 0 <= domain <= 232:
-            raise ValueError(f"domain: expected a ROS_DOMAIN_ID from 0 to 232, got {domain!r}")
+        checks.whole("domain", domain, least=0, most=232, unit="a ROS_DOMAIN_ID")
         self.domain, self.topic = domain, topic
         self._types = message_types()
         self._writer, self._participant = self._open()

@@ -30,24 +30,25 @@ if TYPE_CHECKING:
 
     from occlib.explaining.cylinders import Cylinder
     from occlib.explaining.evidence import PolarWarp
+    from occlib.formats import TrueObject, Truth
     from occlib.pipeline import FrameResult
 
 
-def cover_heads(image: Image, camera: Camera, people: Sequence[Mapping[str, Any]], *, radius_m: float = 0.2) -> Image:
+def cover_heads(image: Image, camera: Camera, people: Sequence[TrueObject], *, radius_m: float = 0.2) -> Image:
     """A copy of a picture with a grey disc and the id over the head of everyone in ``people``: no face is needed.
 
-    ``people`` are entries of the truth, with ``id``, ``x`` and ``y``; the head is taken to be 1.62 m above the feet.
+    ``people`` are objects of the truth; the head is taken to be 1.62 m above the feet.
     """
     covered = image.copy()
     for person in people:
-        (x, y), above = camera.project([[person["x"], person["y"], height] for height in (1.62, 1.62 + radius_m)])
+        (x, y), above = camera.project([[person.x, person.y, height] for height in (1.62, 1.62 + radius_m)])
         radius = float(np.hypot(x - above[0], y - above[1]))
         if np.isfinite(radius):
             cv2.circle(covered, (round(x), round(y)), round(radius), (150, 150, 150), -1)
             corner = (round(x - 0.4 * radius), round(y + 0.4 * radius))
             cv2.putText(
                 covered,
-                str(person["id"]),
+                str(person.id),
                 corner,
                 cv2.FONT_HERSHEY_SIMPLEX,
                 radius / 24,
@@ -69,14 +70,13 @@ def fill_hull(ax: Axes, points: npt.ArrayLike, **options: Any) -> FloatArray:
 
 def outline_cylinders(ax: Axes, warp: PolarWarp, things: Sequence[Cylinder], **options: Any) -> None:
     """Outline of each upright cylinder, with its number, in a camera's polar view."""
-    from occlib.explaining.cylinders import room_for_runs, silhouette
+    from occlib.explaining import silhouette
 
     rows, columns = warp.shape
-    runs = room_for_runs(columns)
     for number, thing in enumerate(things, start=1):
-        first, last = silhouette(warp.parameters, columns, rows, thing.x, thing.y, thing.radius, thing.height, runs)
-        if last > first:
-            x, (top, bottom) = np.arange(first, last), runs[: last - first, :2].T
+        first, top, bottom = silhouette(warp.parameters, columns, rows, thing)
+        if len(top):
+            x = np.arange(first, first + len(top))
             outline = np.column_stack([np.concatenate([x, x[::-1], x[:1]]), [*top, *bottom[::-1], top[0]]])
             ax.plot(*outline.T, **{"color": "white", "linewidth": 1.5, **options})
             ax.annotate(str(number), (x.mean(), top.min()), xytext=(0, 4), textcoords="offset points", ha="center",
@@ -139,7 +139,7 @@ def views_and_map(
     rig: Rig,
     images: Mapping[str, Image | None],
     result: FrameResult,
-    truth: Sequence[Mapping[str, Any]],
+    truth: Sequence[TrueObject],
     *,
     crops: Mapping[str, tuple[int, int, int, int]],
     window_m: tuple[float, float, float, float],
@@ -163,13 +163,13 @@ def views_and_map(
     for ax, name in zip(axes, names, strict=False):
         show_view(ax, rig[name], images.get(name), reason=result.excluded.get(name, ""))
         shown = () if name in result.excluded else truth
-        hidden = [thing for thing in truth if thing["hidden_fraction"].get(name, 0) > 0.9]
-        for thing in shown:
-            gone = thing in hidden
+        hidden = [true for true in truth if true.hidden_fraction.get(name, 0) > 0.9]
+        for true in shown:
+            gone = true in hidden
             if gone:
-                outline_on_image(ax, rig[name], thing["footprint"], color="white", linestyle="--", linewidth=2)
-            pixel = rig[name].floor_to_pixels([[thing["x"], thing["y"]]])[0]
-            text, offset = (f"{thing['label']}: hidden here", (0, 62)) if gone else (thing["label"], (70, -22))
+                outline_on_image(ax, rig[name], true.footprint or (), color="white", linestyle="--", linewidth=2)
+            pixel = rig[name].floor_to_pixels([[true.x, true.y]])[0]
+            text, offset = (f"{true.label}: hidden here", (0, 62)) if gone else (true.label or "", (70, -22))
             ax.annotate(text, pixel, xytext=offset, textcoords="offset points", color="0.1", fontsize=15,
                         va="center", ha="center", bbox={"boxstyle": "round", "facecolor": "white", "edgecolor": "0.6"},
                         arrowprops={"arrowstyle": "-", "color": "white" if gone else "0.2", "linewidth": 1.5})  # fmt: skip
@@ -187,7 +187,7 @@ def frame_strip(
     rig: Rig,
     images: Mapping[int, Mapping[str, Image | None]],
     results: Mapping[int, FrameResult],
-    truth: Mapping[str, Sequence[Mapping[str, Any]]],
+    truth: Truth,
     *,
     crops: Mapping[str, tuple[int, int, int, int]],
     window_m: tuple[float, float, float, float],
@@ -199,7 +199,7 @@ def frame_strip(
     rig
         Floor and cameras.
     images, results, truth
-        By frame number (in ``truth`` as text), at least for the frames of ``images``.
+        By frame number, at least for the frames of ``images``.
     crops, window_m
         As for :func:`views_and_map`.
     """
@@ -207,13 +207,13 @@ def frame_strip(
     fig, axes = new_figure(len(images), len(names) + 1, width=2.4 * len(images), height=2.4 * (len(names) + 1))
     axes = axes.reshape(len(names) + 1, len(images))  # one frame, too
     for column, frame in zip(axes.T, images, strict=True):
-        things = truth[str(frame)]
+        marked = truth.frames[frame]
         for ax, name in zip(column, names, strict=False):
             reason = results[frame].excluded.get(name, "")
             show_view(ax, rig[name], images[frame].get(name), reason=reason)
-            for thing in things:
-                if thing["hidden_fraction"].get(name, 0) > 0.9 and not reason:
-                    outline_on_image(ax, rig[name], thing["footprint"], color="white", linestyle="--", linewidth=1.6)
+            for true in marked:
+                if true.hidden_fraction.get(name, 0) > 0.9 and not reason:
+                    outline_on_image(ax, rig[name], true.footprint or (), color="white", linestyle="--", linewidth=1.6)
             left, right, top, bottom = crops[name]
             ax.set(xlim=(left, right), ylim=(bottom, top))
             ax.set_ylabel(f"{name} view" if frame == next(iter(images)) else "", color=colours[name], fontsize=12)
@@ -221,8 +221,8 @@ def frame_strip(
         show_map(column[-1], results[frame].map)
         for found in results[frame].objects:
             column[-1].text(*found.position_m, str(found.id), color="white", ha="center", va="center", fontsize=12)
-        for thing in things:
-            outline = np.vstack([thing["footprint"], thing["footprint"][:1]])
+        for footprint in (true.footprint for true in marked if true.footprint):
+            outline = np.vstack([footprint, footprint[:1]])
             column[-1].plot(*outline.T, color=TRUTH_COLOUR, linewidth=1.2)
         column[-1].set(xlim=window_m[:2], ylim=window_m[2:])
     for ax in axes[-1, 1:]:
@@ -232,7 +232,9 @@ def frame_strip(
     return fig
 
 
-def _umbra_map(ax: Axes, rig: Rig, result: FrameResult, truth: Any, window_m: tuple[float, ...]) -> None:
+def _umbra_map(
+    ax: Axes, rig: Rig, result: FrameResult, truth: Sequence[TrueObject], window_m: tuple[float, ...]
+) -> None:
     """The map over the pale shadows of the single views, with an arrow from each camera's side."""
     colours = camera_colours(list(rig.cameras))
     canvas = np.ones((*rig.floor.shape, 3))
@@ -243,10 +245,11 @@ def _umbra_map(ax: Axes, rig: Rig, result: FrameResult, truth: Any, window_m: tu
     left_out = len(rig.cameras) - len(result.views)
     views = (", ".join(result.views) or "no view") if left_out else "both" if len(result.views) == 2 else "all"
     ax.set_title(f"map from {views}: {len(result.objects)} objects", fontsize=17)
-    for thing in truth:
-        ax.plot(*np.vstack([thing["footprint"], thing["footprint"][:1]]).T, color="#F0E442", linewidth=2)
-        top = max(y for _, y in thing["footprint"])
-        ax.annotate(thing["label"], (thing["x"], top), xytext=(0, 8), textcoords="offset points", ha="center",
+    for true in truth:
+        footprint = true.footprint or ((true.x, true.y),)
+        ax.plot(*np.vstack([footprint, footprint[:1]]).T, color="#F0E442", linewidth=2)
+        top = max(y for _, y in footprint)
+        ax.annotate(true.label or "", (true.x, top), xytext=(0, 8), textcoords="offset points", ha="center",
                     fontsize=14)  # fmt: skip
     ax.plot([], [], color="#F0E442", linewidth=2, label="true footprint")
     low, high = window_m[:2]
@@ -273,8 +276,7 @@ def view_points_m(camera: Camera, room: npt.ArrayLike, *, steps: int = 24) -> np
         Pixels along each side of the picture, border included.
     """
     u, v = (np.linspace(0, n - 1, steps) for n in camera.size)
-    ideal = camera.undistort_points(np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2))
-    rays = np.column_stack([ideal, np.ones(len(ideal))]) @ np.linalg.inv(camera.matrix).T @ camera.pose[0]
+    rays = camera.rays(np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2))
     rays = np.where(np.abs(rays) < 1e-12, 1e-12, rays)
     low, high = np.asarray(room, dtype=float).T
     distance = (np.where(rays > 0, high, low) - camera.centre_m) / rays  # to the wall ahead, axis by axis

@@ -18,6 +18,7 @@ import numpy.typing as npt
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
+from occlib.base import checks
 from occlib.base.arrays import FloatArray, Mask
 from occlib.base.kernels import compiled
 from occlib.geometry import Floor
@@ -56,11 +57,10 @@ def plan(
     from skimage.graph import MCP_Geometric
 
     start, goal = _cell(floor, start_m, "start_m"), _cell(floor, goal_m, "goal_m")
-    _check_mask(blocked, floor)
+    checks.mask("blocked", blocked, floor.shape)
     if blocked[goal]:
         raise ValueError(f"goal_m: expected a free cell, got a blocked one at {np.asarray(goal_m).tolist()}")
-    if not (math.isfinite(clearance_m) and clearance_m >= 0):
-        raise ValueError(f"clearance_m: expected metres >= 0, got {clearance_m}")
+    checks.number("clearance_m", clearance_m, least=0, unit="metres")
     blocked = free_start(blocked, floor, start_m)
     costs = np.ones(floor.shape)
     if clearance_m > 0:
@@ -72,7 +72,7 @@ def plan(
         cells = np.array(search.traceback(goal))
     except ValueError:
         return None
-    return cells[:, ::-1] * floor.resolution + floor.cell_to_floor[:2, 2]
+    return floor.points(cells[:, ::-1])
 
 
 def free_start(blocked: Mask, floor: Floor, start_m: npt.ArrayLike, *, reach_m: float = 0.0) -> Mask:
@@ -81,7 +81,7 @@ def free_start(blocked: Mask, floor: Floor, start_m: npt.ArrayLike, *, reach_m: 
     Freed are the cells up to the nearest free one (and ``reach_m`` further) that are no deeper in the blocked area than the
     robot itself: on its way out it comes no nearer to any obstacle than it is.
     """
-    _check_mask(blocked, floor)
+    checks.mask("blocked", blocked, floor.shape)
     start = _cell(floor, start_m, "start_m")
     if not blocked[start]:
         return blocked
@@ -97,7 +97,7 @@ def shorten(path_m: npt.ArrayLike, blocked: Mask, floor: Floor) -> FloatArray:
     From each kept point on, the first that is out of sight keeps the one before it. Lines are looked at every half a cell.
     """
     path = np.asarray(path_m, dtype=np.float64).reshape(-1, 2)
-    _check_mask(blocked, floor)
+    checks.mask("blocked", blocked, floor.shape)
     kept = [0] if len(path) else []
     for i in range(2, len(path)):
         if not _lines_free(blocked, floor, path[kept[-1], None], path[i, None])[0]:
@@ -123,11 +123,6 @@ def _cell(floor: Floor, point_m: npt.ArrayLike, name: str) -> tuple[int, int]:
     if not (0 <= iy < floor.shape[0] and 0 <= ix < floor.shape[1]):
         raise ValueError(f"{name}: expected a point on the floor, x {floor.x} and y {floor.y}, got {point.tolist()}")
     return int(iy), int(ix)
-
-
-def _check_mask(blocked: Mask, floor: Floor) -> None:
-    if blocked.shape != floor.shape or blocked.dtype != bool:
-        raise ValueError(f"blocked: expected bool {floor.shape}, got {blocked.dtype} {blocked.shape}")
 
 
 def _lines_free(blocked: Mask, floor: Floor, a: FloatArray, b: FloatArray) -> Mask:
@@ -207,8 +202,7 @@ def plan_timed(
     """
     numbers = {"speed_mps": speed_mps, "dt_s": dt_s, "radius_m": radius_m, "horizon_s": horizon_s, "cell_m": cell_m}
     for name, value in numbers.items():
-        if not (math.isfinite(value) and value > 0):
-            raise ValueError(f"{name}: expected a number > 0, got {value}")
+        checks.number(name, value, above=0)
     if speed_mps * dt_s < cell_m - 1e-9:
         raise ValueError(f"speed_mps: expected at least a cell of {cell_m} m in {dt_s} s, got {speed_mps} m/s")
     goal = _cell(floor, goal_m, "goal_m")
@@ -378,11 +372,9 @@ class Navigator:
         horizon_s: float = 12.0,
     ) -> None:
         for name, value in (("radius_m", radius_m), ("speed_mps", speed_mps), ("cell_m", cell_m)):
-            if not (math.isfinite(value) and value > 0):
-                raise ValueError(f"{name}: expected a number > 0, got {value}")
+            checks.number(name, value, above=0)
         for name, value in (("margin_m", margin_m), ("smear_m", smear_m)):
-            if not (math.isfinite(value) and value >= 0):
-                raise ValueError(f"{name}: expected metres >= 0, got {value}")
+            checks.number(name, value, least=0, unit="metres")
         if not 1 <= occupied_from <= 100:
             raise ValueError(f"occupied_from: expected 1 to 100, got {occupied_from}")
         self.goal_m, self.radius_m, self.margin_m, self.smear_m = goal_m, radius_m, margin_m, smear_m

@@ -7,13 +7,13 @@ each holds one that is clear of all the others', and takes a new one only if tha
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Sequence
 from typing import TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
+from occlib.base import checks
 from occlib.base.arrays import FloatArray, Mask
 
 Point: TypeAlias = tuple[float, float]
@@ -73,8 +73,7 @@ class Reservations:
             one's own, and only for them: it is kept free if that can be done, which is how robots that meet in a corridor
             make way.
         """
-        if not (math.isfinite(radius_m) and radius_m > 0):
-            raise ValueError(f"radius_m: expected metres > 0, got {radius_m}")
+        checks.number("radius_m", radius_m, above=0, unit="metres")
         self._held[name] = _trajectory(trajectory), None if intention is None else _trajectory(intention), radius_m
 
     def release(self, name: str) -> None:

@@ -5,6 +5,7 @@ from occlib.study.charts import best_place, comparison_figure, comparison_rows, 
 from occlib.study.charts import frame_place, heatmap, is_constant, level_curves, measure_styles, precision_recall_curves, runtime_curves
 from occlib.study.charts import score_histogram, verdict_figure
 from occlib.study.conditions import CONDITIONS, Condition
+from occlib.study.pictures import compare_pictures
 from occlib.study.sweeps import load_matchers, run_batches
 from occlib.study.tables import areas, fixed_thresholds, precision_recall, summarise, thresholds, verdicts
 from occlib.study.trials import Trial, make_trial, measured_trial, runtime, sources
@@ -18,6 +19,7 @@ __all__ = [
     "areas",
     "batches",
     "best_place",
+    "compare_pictures",
     "comparison_figure",
     "comparison_rows",
     "comparison_table",

@@ -35,12 +35,12 @@ from typing import TYPE_CHECKING, Any, Protocol, TypeAlias, TypeVar
 from occlib.base.extras import check_extra, import_extra
 from occlib.base.files import folder_hash, load_json, staged_folder, write_file
 from occlib.base.interrupts import stoppable, uninterrupted
-from occlib.reproduce.runner import PACKAGE
 
 if TYPE_CHECKING:
     import pandas as pd
 
 
+PACKAGE = Path(__file__).resolve().parents[1]
 TRIALS = "trials.csv"
 
 

@@ -121,14 +121,13 @@ def _photograph(name: str) -> Image:
 def _recorded_views(source: str, rng: np.random.Generator) -> dict[int, View]:
     """A robot or a person that nothing hides, now and after each delay, with room around it in the picture."""
     recording = recordings.open_recording(source)
-    truth = formats.load_truth(recording.path / "truth.json")["frames"]
+    truth = formats.load_truth(recording.path / "truth.json").frames
     things = {
-        (camera, int(frame), thing["id"]): thing
+        (camera, frame, true.id): true
         for frame in truth
-        for thing in truth[frame]
+        for true in truth[frame]
         for camera in recording.rig.cameras
-        if thing.get("hidden_fraction", {}).get(camera, 0) <= 0.1
-        and thing.get("state", {}).get(camera, "visible") == "visible"
+        if true.hidden_fraction.get(camera, 0) <= 0.1 and true.state.get(camera, "visible") == "visible"
     }
     delays = [int(level) for level in CONDITIONS["time"].levels] if source in TIMED else [0]
     places = [key for key in sorted(things) if all((key[0], key[1] + d, key[2]) in things for d in delays)]
@@ -156,10 +155,10 @@ def _scene(source: str) -> lab.Scene:
     return lab.load_scene(source)
 
 
-def _centre(source: str, camera: Camera, frame: int, name: str, thing: dict[str, Any]) -> FloatArray:
+def _centre(source: str, camera: Camera, frame: int, name: str, thing: formats.TrueObject) -> FloatArray:
     """Middle of the silhouette's bounding box, or the floor point of hand-marked truth, ``(x, y)`` in px."""
     if source == "ufes-lab":
-        return camera.floor_to_pixels([[thing["x"], thing["y"]]])[0]
+        return camera.floor_to_pixels([[thing.x, thing.y]])[0]
     scene = _scene(source)
     robot = next(o for o in scene.objects if o.id == name)
     depth, (rows, columns) = lab.depth_image(scene, scene.rig[camera.name], robot, frame)

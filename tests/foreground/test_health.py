@@ -124,6 +124,7 @@ def test_a_dark_room_is_not_black_until_the_camera_is() -> None:
         assert verdict(np.zeros_like(dark), dark) == "black"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("view", VIEWS)
 def test_covered(view: str) -> None:
     rng = np.random.default_rng(3)
@@ -151,6 +152,7 @@ def test_a_bare_floor_cannot_be_told_from_a_cover() -> None:
     assert verdict(np.zeros_like(bare), bare) == "black"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("view", VIEWS)
 def test_an_object_over_half_of_the_view_is_no_cover(view: str) -> None:
     rng = np.random.default_rng(4)
@@ -159,6 +161,7 @@ def test_an_object_over_half_of_the_view_is_no_cover(view: str) -> None:
             assert verdict(hidden, ROOMS[view]) == "", name
 
 
+@pytest.mark.slow
 @settings(max_examples=60, deadline=None)
 @given(st.sampled_from(VIEWS), st.floats(0.6, 1.5), st.floats(-30, 30), st.integers(0, 2**32 - 1))
 def test_light_and_exposure_do_not_matter(view: str, gain: float, offset: float, seed: int) -> None:
@@ -182,6 +185,7 @@ def test_a_camera_that_trembles_is_usable(shift: tuple[int, int]) -> None:
             assert verdict(np.roll(room, shift, (0, 1)), room) == "", (recording.path.name, name)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("size", [(640, 480), (1288, 728), (320, 240), (160, 120), (90, 300), (64, 48)])
 def test_any_size_of_picture(size: tuple[int, int]) -> None:
     rng = np.random.default_rng(6)
@@ -272,6 +276,7 @@ def naive_frozen(changes: Sequence[Sequence[bool]], repetitions: int) -> list[li
     return found
 
 
+@pytest.mark.slow
 @settings(max_examples=30, deadline=None)
 @given(st.integers(1, 4).flatmap(lambda n: st.lists(st.tuples(*[st.booleans()] * n), min_size=1, max_size=12)))
 def test_frozen_as_counted_naively(changes: list[tuple[bool, ...]]) -> None:
@@ -308,6 +313,7 @@ def test_a_buffer_that_is_used_again_is_no_repetition() -> None:
         assert monitor.check({"left": buffer, "right": noisy(ROOMS["right"], rng)}) == {}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("codec", "suffix"), [("mp4v", "mp4"), ("MJPG", "avi")])
 def test_a_quiet_room_on_video_is_not_frozen(tmp_path: Path, codec: str, suffix: str) -> None:
     rng = np.random.default_rng(12)
@@ -355,6 +361,7 @@ def test_a_failure_in_a_recording_is_noticed_and_so_is_its_end(reason: str) -> N
     assert found == [""] * (6 + delay) + [reason] * (6 - delay) + [""] * 2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", LAB)
 def test_nothing_is_wrong_in_the_recordings_that_ship(name: str) -> None:
     recording = open_recording(name)
@@ -369,16 +376,16 @@ def test_nothing_is_wrong_in_a_scene_without_noise(tiny_recording: Path) -> None
     assert [monitor.check(images) for _, images in recording.images()] == [{}] * 5
 
 
-def test_a_real_room(shared_data: Callable[[str], Path]) -> None:
+@pytest.mark.slow
+def test_a_real_room(shared_data: Callable[[str], Path], real_room: dict[str, Background]) -> None:
     recording = open_recording(shared_data("ufes-lab"))
-    backgrounds = backgrounds_of(recording)
-    monitor, rng = CameraMonitor(backgrounds), np.random.default_rng(13)
+    monitor, rng = CameraMonitor(real_room), np.random.default_rng(13)
     for frame, images in recording.images():
         assert monitor.check(images) == {}, frame
         if frame == 100:
             busy = {name: image.copy() for name, image in images.items()}
     for name, image in busy.items():
-        one = CameraMonitor({name: backgrounds[name]})
+        one = CameraMonitor({name: real_room[name]})
         for gain, offset in ((0.6, -30), (0.6, 30), (1.5, -30), (1.5, 30)):
             assert one.check({name: lit(image, gain, offset)}) == {}, (name, gain, offset)
         for kind, cover in covers(image.shape, rng).items():

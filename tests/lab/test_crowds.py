@@ -145,6 +145,7 @@ def test_of_the_two_crossings_of_a_pair_at_most_one_exists(seed: int, angle: int
     assert not any((j, i) in found for i, j in found)
 
 
+@pytest.mark.slow
 def test_prediction_and_measurement_agree_on_average() -> None:
     study = simulation_module.two_view_study(wall_rig(2), random_crowds(20, 8, 3))
     assert study["predicted"] > 0.1 and study["measured"] == pytest.approx(study["predicted"], abs=0.2)
@@ -189,6 +190,7 @@ def test_votes_of_the_rules() -> None:
     assert votes_needed("log-odds", 4, (0.9, 0.3)) < votes_needed("log-odds", 4, (0.6, 0.05))
 
 
+@pytest.mark.slow
 def test_recall_follows_the_binomial_law() -> None:
     simulation, rng = Simulation(wall_rig(3)), np.random.default_rng(2)
     crowd_list = random_crowds(40, 3, 9)
@@ -210,6 +212,7 @@ def test_an_object_that_a_view_misses_leaves_its_mask_alone() -> None:
         simulation_module.misses(["left"], 2, 1.5, np.random.default_rng(0))
 
 
+@pytest.mark.slow
 def test_explaining_finds_what_one_view_missed_only_with_a_spare_view() -> None:
     simulation, crowd = Simulation(wall_rig(4)), random_crowd(3, np.random.default_rng(4))
     masks = simulation.masks(crowd, {n: np.array([n != "front", True, True]) for n in simulation.rig.cameras})
@@ -219,6 +222,7 @@ def test_explaining_finds_what_one_view_missed_only_with_a_spare_view() -> None:
     assert np.linalg.norm(truth[:, None] - spared, axis=2).min(axis=1).max() < 0.05
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rule", ["and", "product", "log-odds", "planes", "explain"])
 def test_every_rule_finds_two_objects_apart(rule: str) -> None:
     simulation, crowd = Simulation(wall_rig(4)), random_crowd(2, np.random.default_rng(7))
@@ -252,6 +256,7 @@ def test_a_ghost_disagrees_and_a_plain_object_agrees() -> None:
         appearance.colour_agreement([[0, 0]], 0.1, {"left": images["left"]}, rig)
 
 
+@pytest.mark.slow
 def test_the_recording_has_real_objects_and_ghosts_to_be() -> None:
     rows = colours.colour_study("four_robots", [82])
     kinds = {row["kind"] for row in rows}

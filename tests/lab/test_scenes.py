@@ -58,7 +58,7 @@ def test_a_rig_is_that_of_its_scene_and_sees_the_whole_floor(name):
     border = [[x, y] for x in np.linspace(*rig.floor.x, 21) for y in np.linspace(*rig.floor.y, 21)]
     for key, camera in rig.cameras.items():
         assert camera.inside(camera.floor_to_pixels(border)).all()
-        np.testing.assert_allclose(camera.centre_m, scene.room["cameras"][key]["position"], atol=1e-6)
+        np.testing.assert_allclose(camera.centre_m, scene.room.cameras[key].position, atol=1e-6)
         above = [[0.3, -0.2, 0.5], [-1.0, 1.0, 0.1]]
         np.testing.assert_allclose(camera.project(above), scene.rig[key].project(above), atol=1e-6)
 
@@ -75,14 +75,15 @@ def test_a_recording_is_complete(name):
         assert all(read_rgb(path).shape == (480, 640, 3) for path in empty)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", RECORDINGS)
 def test_the_truth_on_disk_is_what_the_scene_says(name):
     scene, truth = load_scene(name), read_truth(name)
     frames = sorted({0, scene.frames // 2, scene.frames - 1})
     fresh = ground_truth(scene, frames=frames)
     assert truth["units"] == "m"
-    assert json.loads(json.dumps(fresh["frames"])) == {str(f): truth["frames"][str(f)] for f in frames}
-    assert fresh["roi"] == truth["roi"]
+    assert json.loads(json.dumps(fresh.to_dict()["frames"])) == {str(f): truth["frames"][str(f)] for f in frames}
+    assert fresh.to_dict()["roi"] == truth["roi"]
 
 
 @pytest.mark.parametrize("name", RECORDINGS)
@@ -120,6 +121,7 @@ def test_four_robots_hide_one_another_from_both_sides():
         assert any(0.2 < o["hidden_fraction"][camera] < 0.8 for o in items)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", WITH_OBJECTS)
 def test_the_pictures_differ_from_the_empty_room_where_the_truth_says(name):
     scene = load_scene(name)
@@ -202,17 +204,23 @@ BOX = {"shape": "box", "centre": [0, 0, 0], "size": [1, 1, 1]}
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"robots": 3}, "unknown field 'robots'"),
+        ({"robots": 3}, "scene: expected the fields .* missing or not known: 'robots'"),
         ({"frames": -1}, "frames: expected a whole number"),
         ({"frames": "many"}, "frames: expected a whole number"),
         ({"cameras": ["ceiling"]}, "'ceiling' is not in the room"),
         ({"room": "nowhere.yaml"}, "cannot read"),
-        ({"objects": [{"id": "a"}]}, "field 'colour' is missing"),
-        ({"objects": [THING]}, "expected parts"),
+        (
+            {"objects": [{"id": "a"}]},
+            r"objects\[0\]: expected the fields .* missing or not known: 'label', 'colour', 'parts'",
+        ),
+        ({"objects": [THING]}, r"objects\[0\]: expected parts, and a path whose frames increase"),
+        ({"objects": [{**THING, "parts": [BOX]}] * 2}, "objects: expected different ids, got .'a', 'a'"),
+        ({"fps": 0}, "fps: expected a finite number > 0, got 0"),
+        ({"vinyl": {"roughness": "none"}}, "room.yaml: vinyl.roughness: expected a finite number > 0, got 'none'"),
         ({"objects": [{**THING, "parts": [{**BOX, "shape": "cone"}]}]}, "expected one of box"),
         ({"objects": [{**THING, "parts": [{**BOX, "size": [1, 0, 1]}]}]}, "three lengths > 0"),
         ({"objects": [{**THING, "parts": [BOX], "path": [{"frame": 0, "at": [0]}]}]}, "expected 2 finite numbers"),
-        ({"objects": 5}, "malformed scene"),
+        ({"objects": 5}, "objects: expected a list of objects, got 5"),
     ],
 )
 def test_a_bad_scene_says_what_is_wrong(tmp_path, changes, message):
@@ -238,6 +246,7 @@ def test_rendering_rejects_frames_that_do_not_exist(tmp_path):
         render(load_scene("robot"), tmp_path, spp=0)
 
 
+@pytest.mark.slow
 def test_a_small_render_resembles_the_recording(tmp_path):
     try:
         load_mitsuba()

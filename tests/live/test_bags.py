@@ -246,6 +246,7 @@ def test_the_message_does_not_change_the_map() -> None:
 
 
 # --- occlib run --------------------------------------------------------------------------------------
+@pytest.mark.slow
 @pytest.mark.parametrize("format", FORMATS)
 def test_run_writes_every_frame_into_the_bag(tiny_recording: Path, tmp_path: Path, format: str) -> None:
     out = tmp_path / "out"

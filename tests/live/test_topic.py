@@ -65,6 +65,7 @@ def listen(domain: int) -> list[Any]:
     return json.loads(done.stdout) if done.stdout else []
 
 
+@pytest.mark.slow
 def test_a_late_joiner_gets_the_last_map_only(topic: Any) -> None:
     topic.send(OccupancyMap(np.zeros(FLOOR.shape, np.int8), FLOOR), 1.0)
     topic.send(GRID, 2.25)

@@ -165,6 +165,7 @@ def test_two_headings_of_one_object(method: str, size: tuple[int, int]) -> None:
         np.testing.assert_allclose(left.corners_px[0], (x, y + size[1]))  # the top-left one went down
 
 
+@pytest.mark.slow
 @every_method
 def test_the_template_as_it_is_scores_in_a_bank_as_alone(method: str) -> None:
     for image, template in [(scene(), scene()[20:45, 30:62]), (scene() / 255, scene()[20:45, 30:62] / 255)]:
@@ -197,6 +198,7 @@ def test_of_equal_templates_the_first_counts() -> None:
         assert (which == number).all()
 
 
+@pytest.mark.slow
 @every_method
 def test_masks_turn_with_the_template(method: str) -> None:
     """What is hidden is different in the image, and the object is still found."""
@@ -243,6 +245,7 @@ def lab(camera: str, frame: int, grey: bool = True) -> Array:
     return np.asarray(cv2.imread(str(LAB / camera / f"{frame:04d}.jpg"), 0 if grey else 1))
 
 
+@pytest.mark.slow
 @every_method
 @pytest.mark.parametrize("rule", ["components", "nms"])
 @pytest.mark.usefixtures("small_tiles")
@@ -254,6 +257,7 @@ def test_the_pyramid_finds_what_the_full_search_finds_in_the_lab(method: str, ru
     assert_same(lab("right", 2)[100:300, 200:440], template, method, rule=rule, angles=(0, 40), subpixel=True)
 
 
+@pytest.mark.slow
 @coarse_method
 @pytest.mark.parametrize("name, part", [("astronaut", (20, 200)), ("coins", (50, 110)), ("brick", (60, 80)),
                                         ("page", (20, 120)), ("camera", (70, 220)), ("chelsea", (80, 130))])  # fmt: skip
@@ -270,6 +274,7 @@ def test_the_pyramid_finds_what_the_full_search_finds_in_photographs(
     assert_same(image, template, method, mask=disc, angles=(0, 25), subpixel=True)
 
 
+@pytest.mark.slow
 @settings(max_examples=25, deadline=None)
 @given(
     seed=st.integers(0, 2**32),
@@ -300,6 +305,7 @@ def test_the_pyramid_finds_what_the_full_search_finds_in_random_scenes(
                     angles=(0, 33, 90) if turned else (0,), scales=(1, 0.8) if turned else (1,))  # fmt: skip
 
 
+@pytest.mark.slow
 @coarse_method
 @pytest.mark.usefixtures("small_tiles")
 def test_the_pyramid_finds_exact_copies_anywhere(method: str) -> None:
@@ -469,6 +475,7 @@ def test_the_pyramid_saves_work(method: str, monkeypatch: pytest.MonkeyPatch) ->
     assert places == [261 * 361]
 
 
+@pytest.mark.slow
 def test_the_pyramid_of_flat_and_small_templates() -> None:
     flat = np.full((40, 40), 90, np.uint8)
     image = np.full((100, 100), 90, np.uint8)

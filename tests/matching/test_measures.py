@@ -56,6 +56,7 @@ def pairs(draw: st.DrawFn, kind: str) -> tuple[Array, Array, Array | None]:
 # ---------------------------------------------------------------- fast against literal
 
 
+@pytest.mark.slow
 @every_method
 @pytest.mark.parametrize("kind", ["uint8", "uint16", "float"])
 @settings(max_examples=50, deadline=None)
@@ -491,6 +492,7 @@ def test_what_the_mask_hides_does_not_count(method: str) -> None:
 # ---------------------------------------------------------------- layouts and memory
 
 
+@pytest.mark.slow
 @every_method
 @pytest.mark.parametrize("kind", [np.uint8, np.uint16, np.float64])
 @pytest.mark.parametrize("tail", [(), (3,)])

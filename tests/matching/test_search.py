@@ -446,6 +446,7 @@ def test_scores_of_ones_own_are_checked(wrong: Any) -> None:
         similarity(IMAGE, np.ones((2, 2)), "wrong")
 
 
+@pytest.mark.slow
 def test_a_method_survives_the_way_to_another_process(extreme: str) -> None:
     image = floor_with_robots((12, 50))
     script = "import pickle, sys; f, t, m, method = pickle.load(sys.stdin.buffer); sys.stdout.buffer.write(pickle.dumps(method.score(f, t, m)))"

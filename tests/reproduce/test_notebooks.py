@@ -92,6 +92,8 @@ def fast_metrics(tmp_path_factory: pytest.TempPathFactory) -> pd.DataFrame:
     return table
 
 
+@pytest.mark.slow
+@pytest.mark.timeout(900)
 def test_every_notebook_runs_and_records(fast_metrics: pd.DataFrame) -> None:
     assert set(fast_metrics["notebook"]) == {path.stem for path in NOTEBOOKS}
     assert fast_metrics["value"].notna().all()
@@ -114,6 +116,7 @@ def real_run(home: Path, cache: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[
     return dict(zip(report.metrics()["metric"], report.metrics()["value"], strict=True)), folder, printed
 
 
+@pytest.mark.slow
 def test_without_the_recording_the_notebook_says_so_and_ends(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     recorded, folder, printed = real_run(tmp_path / "project", tmp_path / "cache", monkeypatch)
     (last,) = (number for number, text in enumerate(printed) if "occlib data fetch ufes-lab" in text)
@@ -123,6 +126,8 @@ def test_without_the_recording_the_notebook_says_so_and_ends(tmp_path: Path, mon
     assert {path.name for path in folder.iterdir()} == {f"{REAL}.ipynb", "manifest.json", "nb11_plan.png"}
 
 
+@pytest.mark.slow
+@pytest.mark.timeout(400)
 def test_with_the_recording_it_scores_and_publishes_nothing_of_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, shared_data: Callable[[str], Path]
 ) -> None:

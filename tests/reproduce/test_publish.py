@@ -27,6 +27,8 @@ from occlib.reproduce.notebook import record, save
 from occlib.reproduce.publish import notebook_results, reproduce
 from occlib.reproduce.students import student_copies, student_copy
 
+pytestmark = pytest.mark.slow
+
 IMPORTS = "from matplotlib.figure import Figure\nfrom occlib.reproduce import record, save\nimport numpy as np"
 PARAMETERS = "seed = 0  # -, of the noise\nfast = False  # -, smaller\nscale = 1.5  # m, of everything"
 DRAW = "fig = Figure()\nfig.add_subplot().plot(np.random.default_rng(seed).normal(size=9))\nsave(fig, {name!r})"
@@ -304,10 +306,14 @@ def test_interrupted_run_leaves_nothing(copy: Path, sign: signal.Signals) -> Non
     code = f"from occlib.reproduce import reproduce; reproduce(root={str(copy)!r}, progress=False)"
     environment = {**os.environ, "PYTHONPATH": str(runner.PACKAGE.parent), "TMPDIR": str(copy)}
     process = subprocess.Popen([sys.executable, "-c", code], env=environment, stderr=subprocess.PIPE)
-    _wait(started.exists)
-    children = psutil.Process(process.pid).children(recursive=True)
-    process.send_signal(sign)
-    _, errors = process.communicate(timeout=10)
+    try:
+        _wait(started.exists)
+        children = psutil.Process(process.pid).children(recursive=True)
+        process.send_signal(sign)
+        _, errors = process.communicate(timeout=10)
+    finally:
+        process.kill()
+        process.wait()
     assert process.returncode and b"KeyboardInterrupt" in errors
     # At once: a kernel whose parent is gone ends by itself too, but up to a second later.
     assert len(children) >= 2 and not any(map(_lives, psutil.wait_procs(children, timeout=0.2)[1]))

@@ -544,6 +544,7 @@ def test_robots_that_meet_in_a_corridor_use_the_bay(other: float) -> None:
         assert state.far[0] < 0.1
 
 
+@pytest.mark.slow
 def test_four_robots_cross_at_a_square() -> None:
     robots = [
         ((-1.5, 0.0), (1.5, 0.0)),
@@ -558,6 +559,7 @@ def test_four_robots_cross_at_a_square() -> None:
     assert noisy.arrived and noisy.closest > 0.385
 
 
+@pytest.mark.slow
 @settings(max_examples=5, deadline=None)
 @given(st.integers(0, 2**32 - 1))
 def test_no_two_discs_ever_touch(seed: int) -> None:

@@ -26,6 +26,8 @@ from occlib.matching import measures
 from occlib.study import sweeps
 from occlib.study.sweeps import load_matchers, run_batches
 
+pytestmark = pytest.mark.slow
+
 # Workers cannot import test files, but a run file travels by value: as a user's own matchers do.
 TOY = """
 import os, sys, time
@@ -461,7 +463,11 @@ def test_a_sweep_that_is_stopped_goes_on(tmp_path: Path, how: str, capsys: pytes
         os.killpg(process.pid, signal.SIGINT)
     else:
         process.send_signal(getattr(signal, how))
-    _, err = process.communicate(timeout=20)
+    try:
+        _, err = process.communicate(timeout=20)
+    finally:
+        process.kill()
+        process.wait()
     assert psutil.wait_procs(running, timeout=5)[1] == []
     kept = {p.name: p.stat().st_mtime_ns for p in (out / "batches").iterdir()}
     vouched = json.loads((out / "manifest.json").read_text())["batches"]

@@ -11,6 +11,7 @@ import pytest
 
 from occlib import geometry, recordings
 from occlib.base import intervals
+from occlib.lens import Lens
 from occlib.matching import measures, search
 from occlib.study import tables, trials
 from occlib.study import work as work_module
@@ -115,6 +116,7 @@ def test_absent_leaves_nothing_of_the_target(corner):
 # --- trials ------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("source", [*trials.PHOTOGRAPHS, "robot", "four_robots"])
 def test_clean_trial_holds_the_template_at_the_true_place(source):
     for side in (16, 48, 128):
@@ -167,6 +169,7 @@ def test_one_seed_has_the_same_target_under_every_condition():
     assert not np.array_equal(trials.make_trial("camera", 6).template, start.template)
 
 
+@pytest.mark.slow
 def test_robots_move_with_their_silhouettes():
     for seed in range(3):
         now, later = (trials.make_trial("four_robots", seed, "time", level) for level in (0, 32))
@@ -199,7 +202,7 @@ def test_sources_without_the_real_recording(monkeypatch, tmp_path):
 
 def test_floor_error_against_a_hand_computation():
     homography = np.array([[0.02, 0, 1], [0, 0.03, 2], [0, 0, 1.0]])  # 2 cm a px in x, 3 cm in y
-    camera = geometry.Camera("above", (320, 240), np.diag([100.0, 100, 1]), np.zeros(5), homography)
+    camera = geometry.Camera("above", (320, 240), Lens(np.diag([100.0, 100, 1]), np.zeros(5)), homography)
     assert trials.cm_per_px(camera, np.array([50.0, 60.0])) == pytest.approx(np.diag([2, 3]), abs=1e-6)
     template = trials._photograph("camera")[200:248, 200:248]
     image = np.zeros((240, 320), np.uint8)
@@ -235,6 +238,7 @@ def small():
     return work_module.run(work_module.batches("fast", **SMALL), progress=False)
 
 
+@pytest.mark.slow
 def test_same_numbers_in_any_order_and_beside_other_work(small):
     trials._views.cache_clear()
     work = work_module.batches("fast", **SMALL)[::-1]
@@ -483,6 +487,7 @@ def light():
     return work_module.run(work, ["ssd", "zncc"], progress=False)
 
 
+@pytest.mark.slow
 def test_zncc_stands_a_change_of_light_and_ssd_does_not(light):
     recall = tables.summarise(light).set_index(["condition", "method", "level"])["recall"].sort_index()
     assert recall["offset", "zncc"].loc[[-20, 20]].min() == 1 and recall["offset", "ssd"].loc[[-80, 80]].max() < 0.7
@@ -495,6 +500,7 @@ def test_zncc_stands_a_change_of_light_and_ssd_does_not(light):
     assert claim["area"] == pytest.approx(told.loc["constant light", "ssd"] - told.loc["changing light", "ssd"])
 
 
+@pytest.mark.slow
 def test_a_fixed_threshold_fails_for_ssd_where_otsu_does_not(light):
     rules = tables.thresholds(light).set_index(["condition", "method", "level", "rule"])["recall"]
     assert rules["noise", "ssd", 40.0, "fixed"] < 0.2 < 0.9 < rules["noise", "ssd", 40.0, "otsu"]

@@ -1,4 +1,4 @@
-"""Scores: detections against hand-marked or planted truth, and maps against true footprints.
+"""Detections against hand-marked or planted truth: MODA, MODP, precision, recall, and who was reported hidden.
 
 MODA and MODP follow Kasturi et al. (2009), "Framework for Performance Evaluation of Face, Text, and
 Vehicle Detection and Tracking in Video", IEEE TPAMI 31(2), doi:10.1109/TPAMI.2008.57, with distances on
@@ -13,23 +13,43 @@ the floor (Chavdarova et al. 2018, WILDTRACK) in place of overlaps in the image.
 
 from __future__ import annotations
 
-import math
 from collections import Counter
-from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from itertools import count
-from typing import Any, TypeAlias
+from typing import Any, Protocol, TypeAlias, TypeVar
 
 import numpy as np
 import numpy.typing as npt
-from scipy import ndimage
 from scipy.optimize import linear_sum_assignment
 
 from occlib.base.arrays import FloatArray, Mask, as_points
-from occlib.formats import _check_hidden_fraction, _detected_things, _region, _things, _truth_frames
-from occlib.geometry import Floor
+from occlib.formats import DetectedObject, TrueObject, Truth
+from occlib.metrics.maps import ratio
 
-Detections: TypeAlias = Mapping[int, Any]  # frame -> (N, 2) array in m, or a list of {"x", "y", "id"?, "hidden_in"?}
+T = TypeVar("T")
+
+
+class Detected(Protocol):
+    """What can be scored: an object vector of the tracker, or an object of ``objects.jsonl``."""
+
+    @property
+    def x(self) -> float:
+        """Metres."""
+
+    @property
+    def y(self) -> float:
+        """Metres."""
+
+    @property
+    def id(self) -> Any:
+        """The same in every frame; ``None`` if it has none."""
+
+    @property
+    def hidden_in(self) -> Sequence[str]:
+        """Cameras in which something hides it."""
+
+
+Detections: TypeAlias = Mapping[int, Sequence[Detected] | npt.ArrayLike]  # frame -> objects, or an (N, 2) array in m
 
 
 Pair: TypeAlias = tuple[int, int, float]  # index of the detection, index of the truth, distance in m
@@ -126,7 +146,7 @@ def match_points(detected_m: npt.ArrayLike, true_m: npt.ArrayLike, radius: float
     Notes
     -----
     The Hungarian method (`scipy.optimize.linear_sum_assignment`): a forbidden pair costs more than all
-    permitted ones together. :func:`match_points_naive` is the readable reference.
+    permitted ones together.
 
     >>> match_points([[0, 0], [1, 0]], [[0.75, 0]], radius=0.5)
     [(1, 0, 0.25)]
@@ -136,26 +156,6 @@ def match_points(detected_m: npt.ArrayLike, true_m: npt.ArrayLike, radius: float
     rows, columns = linear_sum_assignment(np.where(distance < radius, distance, forbidden))
     pairs = zip(rows.tolist(), columns.tolist(), strict=True)
     return [(i, j, float(distance[i, j])) for i, j in pairs if distance[i, j] < radius]
-
-
-def match_points_naive(detected_m: npt.ArrayLike, true_m: npt.ArrayLike, radius: float) -> list[Pair]:
-    """The same as :func:`match_points` by trying every assignment; only for a handful of points.
-
-    >>> match_points_naive([[0, 0], [1, 0]], [[0.75, 0]], radius=0.5)
-    [(1, 0, 0.25)]
-    """
-    distance = _distances(detected_m, true_m)
-
-    def best(i: int, free: frozenset[int]) -> list[Pair]:
-        if i == len(distance):
-            return []
-        options = [best(i + 1, free)]
-        for j in sorted(free):
-            if distance[i, j] < radius:
-                options.append([(i, j, float(distance[i, j])), *best(i + 1, free - {j})])
-        return min(options, key=lambda pairs: (-len(pairs), sum(d for _, _, d in pairs)))
-
-    return best(0, frozenset(range(distance.shape[1])))
 
 
 def inside_polygon(points_m: npt.ArrayLike, polygon_m: npt.ArrayLike) -> Mask:
@@ -175,18 +175,19 @@ def inside_polygon(points_m: npt.ArrayLike, polygon_m: npt.ArrayLike) -> Mask:
     return np.asarray((winding != 0) | on_boundary)
 
 
-def evaluate(detections: Detections, truth: Mapping[str, Any], *, roi: str | None = None, radius: float = 0.5) -> Score:
+def evaluate(detections: Detections, truth: Truth, *, roi: str | None = None, radius: float = 0.5) -> Score:
     """Score detections on the floor against the truth.
 
     Parameters
     ----------
     detections
-        For each frame an (N, 2) array of floor points in m, or a list of mappings with ``x`` and ``y``
-        (:func:`load_objects`). A frame that is missing has no detections.
+        For each frame its objects: those of a :class:`~occlib.pipeline.FrameResult`, of ``objects.jsonl``
+        (:func:`~occlib.formats.load_objects`), or an (N, 2) array of floor points in m. A frame that is missing has no
+        detections.
     truth
-        The content of ``truth.json`` (:func:`load_truth`).
+        What is there (:func:`~occlib.formats.load_truth`).
     roi
-        Name of a polygon in ``truth["roi"]``. Truth and detections outside it are dropped before
+        Name of a polygon in ``truth.roi``. Truth and detections outside it are dropped before
         matching; a point on its boundary is inside.
     radius
         Metres; a detection and a true object match when closer than this. 0.5 m is the field's
@@ -195,11 +196,11 @@ def evaluate(detections: Detections, truth: Mapping[str, Any], *, roi: str | Non
     Raises
     ------
     ValueError
-        Unknown ``roi``, ``radius`` not positive, malformed truth or detections.
+        Unknown ``roi``, ``radius`` not positive, detections that are neither objects nor points, places that are not finite.
 
     Examples
     --------
-    >>> truth = {"units": "m", "frames": {"0": [{"x": 0, "y": 0}], "1": [{"x": 1, "y": 0}]}}
+    >>> truth = Truth({0: [TrueObject(x=0, y=0)], 1: [TrueObject(x=1, y=0)]})
     >>> score = evaluate({0: [[0.1, 0.0]]}, truth)
     >>> score.moda, score.recall, score.precision
     (0.5, 0.5, 1.0)
@@ -214,18 +215,18 @@ def evaluate(detections: Detections, truth: Mapping[str, Any], *, roi: str | Non
         errors += [distance for _, _, distance in pairs]
         if detected:
             seen, seen_wrong = seen + len(true), seen_wrong + len(true) + len(detected) - 2 * len(pairs)
-        with_ids = with_ids and all("id" in thing for thing in (*detected, *true))
+        with_ids = with_ids and all(each.id is not None for group in (detected, true) for each in group)
         for i, j, _ in pairs if with_ids else ():
-            switches += last_id.get(true[j]["id"], detected[i]["id"]) != detected[i]["id"]
-            last_id[true[j]["id"]] = detected[i]["id"]
+            switches += last_id.get(true[j].id, detected[i].id) != detected[i].id
+            last_id[true[j].id] = detected[i].id
     missed = expected - found
     return Score(
         moda=1 - (missed + false) / expected if expected else None,
         moda_public=max(0.0, 1 - seen_wrong / seen) if seen else None,
         modp=float(np.mean(1 - np.array(errors) / radius)) if errors else None,
-        precision=_ratio(found, found + false),
-        recall=_ratio(found, expected),
-        f1=_ratio(2 * found, 2 * found + false + missed),
+        precision=ratio(found, found + false),
+        recall=ratio(found, expected),
+        f1=ratio(2 * found, 2 * found + false + missed),
         error_mean_m=float(np.mean(errors)) if errors else None,
         error_median_m=float(np.median(errors)) if errors else None,
         tp=found,
@@ -233,55 +234,14 @@ def evaluate(detections: Detections, truth: Mapping[str, Any], *, roi: str | Non
         fn=missed,
         truth_count=expected,
         frames=frames,
-        ghosts_per_frame=_ratio(false, frames),
+        ghosts_per_frame=ratio(false, frames),
         id_switches=switches if with_ids and errors else None,
     )
 
 
-def ghost_lifetimes(
-    detections: Detections, truth: Mapping[str, Any], *, roi: str | None = None, radius: float = 0.5
-) -> list[int]:
-    """Over how many consecutive frames of the truth each ghost (false positive) stays.
-
-    Parameters
-    ----------
-    detections, truth, roi, radius
-        As for :func:`evaluate`.
-
-    Returns
-    -------
-    list of int
-        One length >= 1 in frames of the truth (not of the recording) a run, by first appearance; lower is
-        better, empty without ghosts. A run ends when its id is absent, matched or outside ``roi``; when the
-        id is a ghost again later, that is another run.
-
-    Raises
-    ------
-    ValueError
-        As :func:`evaluate`.
-
-    Notes
-    -----
-    If any ghost lacks an id, ghosts of successive frames are linked by place instead, as in
-    :func:`match_points`: one to one, nearer than ``radius``. With ids, one that comes twice in a frame
-    counts once there.
-
-    >>> truth = {"frames": {"0": [], "4": [], "8": []}}
-    >>> ghost_lifetimes({0: [[1, 1]], 4: [[1.1, 1], [3, 3]]}, truth)
-    [2, 1]
-    """
-    ghosts = []
-    for detected, _, pairs in _matched_frames(detections, truth, roi, radius):
-        matched = {i for i, _, _ in pairs}
-        ghosts.append([thing for i, thing in enumerate(detected) if i not in matched])
-    if all(thing.get("id") is not None for frame in ghosts for thing in frame):
-        return _run_lengths([thing["id"] for thing in frame] for frame in ghosts)
-    return _run_lengths(_linked(ghosts, radius))
-
-
 def evaluate_hidden(
     detections: Detections,
-    truth: Mapping[str, Any],
+    truth: Truth,
     *,
     cameras: Sequence[str] | None = None,
     hidden: float = 0.9,
@@ -312,8 +272,8 @@ def evaluate_hidden(
 
     Examples
     --------
-    >>> truth = {"frames": {"0": [{"x": 0, "y": 0, "hidden_fraction": {"left": 1.0, "right": 0.2}}]}}
-    >>> evaluate_hidden({0: [{"x": 0, "y": 0, "hidden_in": ["left", "right"]}]}, truth)
+    >>> truth = Truth({0: [TrueObject(x=0, y=0, hidden_fraction={"left": 1.0, "right": 0.2})]})
+    >>> evaluate_hidden({0: [DetectedObject(x=0, y=0, hidden_in=("left", "right"))]}, truth)
     HiddenScore(precision=0.5, recall=1.0, f1=0.66..., tp=1, fp=1, fn=0, compared=2)
     """
     _check_fraction(hidden, "hidden")
@@ -321,16 +281,16 @@ def evaluate_hidden(
     outcomes: Counter[tuple[bool, bool]] = Counter()  # (reported, hidden)
     compared = 0
     for detected, true, pairs in _matched_frames(detections, truth, roi, radius):
-        reported = {j: detected[i].get("hidden_in") or () for i, j, _ in pairs}
-        for j, thing in enumerate(true):
-            known = _known_fractions(thing, cameras)
+        reported = {j: detected[i].hidden_in for i, j, _ in pairs}
+        for j, each in enumerate(true):
+            known = _known_fractions(each, cameras)
             outcomes.update((name in reported.get(j, ()), known[name] >= hidden) for name in known)
             compared += len(known) if j in reported else 0
     tp, fp, fn = outcomes[True, True], outcomes[True, False], outcomes[False, True]
     return HiddenScore(
-        precision=_ratio(tp, tp + fp),
-        recall=_ratio(tp, tp + fn),
-        f1=_ratio(2 * tp, 2 * tp + fp + fn),
+        precision=ratio(tp, tp + fp),
+        recall=ratio(tp, tp + fn),
+        f1=ratio(2 * tp, 2 * tp + fp + fn),
         tp=tp,
         fp=fp,
         fn=fn,
@@ -340,7 +300,7 @@ def evaluate_hidden(
 
 def recall_by_hidden_fraction(
     detections: Detections,
-    truth: Mapping[str, Any],
+    truth: Truth,
     *,
     cameras: Sequence[str] | None = None,
     edges: Sequence[float] = (0.0, 0.25, 0.5, 0.75, 1.0),
@@ -361,7 +321,7 @@ def recall_by_hidden_fraction(
     Raises ``ValueError`` for edges that do not increase, ``best_below`` outside (0, 1], ``cameras`` a single
     string, and as :func:`evaluate`.
 
-    >>> truth = {"frames": {"0": [{"x": 0, "y": 0, "hidden_fraction": {"left": 1.0}}]}}
+    >>> truth = Truth({0: [TrueObject(x=0, y=0, hidden_fraction={"left": 1.0})]})
     >>> recall_by_hidden_fraction({0: [[0, 0]]}, truth, edges=(0, 0.5, 1))[1]
     {'low': 0.5, 'high': 1.0, 'count': 1, 'recall': 1.0}
     """
@@ -373,208 +333,144 @@ def recall_by_hidden_fraction(
     total, hits = np.zeros(len(edges) - 1, int), np.zeros(len(edges) - 1, int)
     for _, true, pairs in _matched_frames(detections, truth, roi, radius):
         matched = {j for _, j, _ in pairs}
-        for j, thing in enumerate(true):
-            known = _known_fractions(thing, cameras).values()
+        for j, each in enumerate(true):
+            known = _known_fractions(each, cameras).values()
             worst, best = max(known, default=0.0), min(known, default=np.inf)
             if edges[0] <= worst <= edges[-1] and (best_below is None or best < best_below):
                 index = min(int(np.searchsorted(edges, worst, side="right")) - 1, len(total) - 1)
                 total[index] += 1
                 hits[index] += j in matched
     return [
-        {"low": float(low), "high": float(high), "count": int(n), "recall": _ratio(int(hit), int(n))}
+        {"low": float(low), "high": float(high), "count": int(n), "recall": ratio(int(hit), int(n))}
         for low, high, n, hit in zip(edges[:-1], edges[1:], total, hits, strict=True)
     ]
 
 
-def footprint_coverage(occupied: Mask, floor: Floor, footprints: Sequence[npt.ArrayLike]) -> FloatArray:
-    """Fraction of each true footprint that the map claims as occupied, in [0, 1], higher is better.
+@dataclass(frozen=True)
+class IdentityScore:
+    """How well labels name objects, and what size each object was given.
 
     Parameters
     ----------
-    occupied
-        bool (ny, nx).
-    floor
-        The map's floor.
-    footprints
-        Polygons (M, 2) in m.
-
-    Returns
-    -------
-    ndarray, shape (N,)
-        Only cells of the map count: a footprint with no cell centre on the map gives NaN.
-
-    >>> floor = Floor((0, 1), (0, 1), 0.5)
-    >>> footprint_coverage(np.array([[True, False], [True, False]]), floor, [[[0, 0], [1, 0], [1, 1], [0, 1]]])
-    array([0.5])
+    right, wrong, unlabelled
+        Matched detections whose label is their object's, another's, or none.
+    label_of
+        ``{true id: label}``: one label an object, so that as many detections as possible are right.
+    size_ratio
+        ``{true id: median of size over the area of the true footprint}``; objects without either are left out.
     """
-    _check_map(occupied, floor)
-    masks = [floor.polygon_mask(footprint) for footprint in footprints]
-    return np.array([occupied[mask].mean() if mask.any() else np.nan for mask in masks], dtype=np.float64)
+
+    right: int
+    wrong: int
+    unlabelled: int
+    label_of: dict[str, str]
+    size_ratio: dict[str, float]
 
 
-def claimed_area_ratio(occupied: Mask, floor: Floor, footprints: Sequence[npt.ArrayLike]) -> float | None:
-    """Claimed area over true area (the union of the footprints): 1 is best, more is falsified occupancy.
-
-    The paper's section 5 names the excess "reduction of available workspace". ``None`` when no footprint
-    lies on the map.
-
-    >>> floor = Floor((0, 1), (0, 1), 0.5)
-    >>> claimed_area_ratio(np.ones((2, 2), bool), floor, [[[0, 0], [0.5, 0], [0.5, 1], [0, 1]]])
-    2.0
-    """
-    _check_map(occupied, floor)
-    return _ratio(int(occupied.sum()), int(_union(floor, footprints).sum()))
-
-
-def foreground_scores(mask: Mask, truth: Mask, difference: npt.ArrayLike, *, level: float = 15.0) -> dict[str, float]:
-    """How well a mask fits the true silhouettes, and how well it tells shadows from objects.
+def evaluate_identity(detections: Detections, truth: Truth, *, radius: float = 0.5) -> IdentityScore:
+    """Score the labels and sizes of detections: template matching knows objects, but not by the truth's names.
 
     Parameters
     ----------
-    mask, truth
-        bool (H, W).
-    difference
-        Absolute difference from the background in grey levels, (H, W): what differs by more than ``level`` and is no object, beyond
-        2 px around one, is shadow or reflection.
-
-    Returns
-    -------
-    dict
-        ``f_measure``; ``shadow_detection``, the share of shadow that is kept out of the mask; ``shadow_discrimination``, the share of the
-        object that differs and is in it (Prati et al. 2003, doi:10.1109/TPAMI.2003.1206520). NaN where there is nothing to count.
+    detections
+        Objects with ``label`` and ``size_m2``, as the pipeline gives them, or ``size``, as ``objects.jsonl`` has it.
+    truth, radius
+        As for :func:`evaluate`; the true objects have ids.
 
     Examples
     --------
-    A row of six pixels: two of object, one found; three of shadow that begin at its foot, one of them taken for object.
-
-    >>> row = lambda *values: np.array([values])
-    >>> foreground_scores(row(1, 0, 0, 0, 0, 1) > 0, row(1, 1, 0, 0, 0, 0) > 0, row(90, 60, 40, 40, 40, 40))
-    {'f_measure': 0.5, 'shadow_detection': 0.5, 'shadow_discrimination': 0.5}
+    >>> truth = Truth({frame: [TrueObject(id="A", x=0, y=0)] for frame in range(3)})
+    >>> found = {frame: [DetectedObject(x=0, y=0, label=label)] for frame, label in enumerate(["cup", "cup", None])}
+    >>> evaluate_identity(found, truth)
+    IdentityScore(right=2, wrong=0, unlabelled=1, label_of={'A': 'cup'}, size_ratio={})
     """
-    changed = np.asarray(difference, dtype=np.float64) > level
-    if not mask.shape == truth.shape == changed.shape or mask.dtype != bool or truth.dtype != bool or mask.ndim != 2:
-        raise ValueError(
-            f"mask, truth, difference: expected bool, bool and numbers of one shape, got {mask.dtype} {mask.shape}, "
-            f"{truth.dtype} {truth.shape}, {changed.shape}"
-        )
-    shadow = changed & ~ndimage.binary_dilation(truth, np.ones((3, 3)), iterations=2)
-    pairs = {
-        "f_measure": (2 * (mask & truth).sum(), mask.sum() + truth.sum()),
-        "shadow_detection": ((shadow & ~mask).sum(), shadow.sum()),
-        "shadow_discrimination": ((changed & truth & mask).sum(), (changed & truth).sum()),
-    }
-    return {name: float(part / whole) if whole else math.nan for name, (part, whole) in pairs.items()}
+    counts: Counter[tuple[str, str]] = Counter()
+    unlabelled, ratios = 0, dict[str, list[float]]()
+    for detected, true, pairs in _matched_frames(detections, truth, None, radius):
+        for i, j, _ in pairs:
+            name, label = str(true[j].id), getattr(detected[i], "label", None)
+            unlabelled += label is None
+            counts.update([(name, label)] if label is not None else [])
+            size = getattr(detected[i], "size_m2", getattr(detected[i], "size", None))
+            footprint = true[j].footprint
+            if size is not None and footprint is not None:
+                ratios.setdefault(name, []).append(size / polygon_area(footprint))
+    names, labels = sorted({name for name, _ in counts}), sorted({label for _, label in counts})
+    table = np.array([[counts[name, label] for label in labels] for name in names]).reshape(len(names), len(labels))
+    rows, columns = linear_sum_assignment(table, maximize=True)
+    right = int(table[rows, columns].sum())
+    return IdentityScore(
+        right=right,
+        wrong=counts.total() - right,
+        unlabelled=unlabelled,
+        label_of={names[i]: labels[j] for i, j in zip(rows, columns, strict=True) if table[i, j]},
+        size_ratio={name: float(np.median(values)) for name, values in sorted(ratios.items())},
+    )
 
 
-def free_space_blocked(occupied: Mask, floor: Floor, footprints: Sequence[npt.ArrayLike]) -> float | None:
-    """Fraction of the truly free floor that the map claims as occupied, in [0, 1], lower is better.
+def polygon_area(polygon_m: npt.ArrayLike) -> float:
+    """Area of a simple polygon (M, 2) in m2, by Gauss's formula.
 
-    A cell is free when its centre lies in no footprint. ``None`` when the footprints fill the map.
-
-    Parameters
-    ----------
-    occupied
-        bool (ny, nx).
-    floor
-        The map's floor.
-    footprints
-        Polygons (M, 2) in m; none: the whole map is free.
-
-    Raises
-    ------
-    ValueError
-        ``occupied`` not bool or not of the floor's shape.
-
-    >>> floor = Floor((0, 1), (0, 1), 0.5)
-    >>> occupied = np.array([[True, True], [True, False]])
-    >>> free_space_blocked(occupied, floor, [[[0, 0], [0.5, 0], [0.5, 1], [0, 1]]])
-    0.5
+    >>> polygon_area([[0, 0], [2, 0], [2, 1], [0, 1]])
+    2.0
     """
-    _check_map(occupied, floor)
-    free = ~_union(floor, footprints)
-    return _ratio(int((occupied & free).sum()), int(free.sum()))
+    x, y = as_points(polygon_m, name="polygon_m").T
+    return float(abs(x @ np.roll(y, -1) - y @ np.roll(x, -1)) / 2)
 
 
 def _matched_frames(
-    detections: Detections, truth: Mapping[str, Any], roi: str | None, radius: float
-) -> Iterator[tuple[list[dict[str, Any]], list[dict[str, Any]], list[Pair]]]:
+    detections: Detections, truth: Truth, roi: str | None, radius: float
+) -> Iterator[tuple[list[Detected], list[TrueObject], list[Pair]]]:
     """For each frame of the truth: detections and true objects in the region, and their pairs."""
+    if not isinstance(truth, Truth):
+        raise ValueError(f"truth: expected a Truth, as load_truth gives it, got {type(truth).__name__}")
     if not (np.isfinite(radius) and radius > 0):
         raise ValueError(f"radius: expected metres > 0, got {radius}")
-    polygon = None if roi is None else _region(truth, roi)
-    for frame, true in _truth_frames(truth).items():
-        detected = _detected(detections.get(frame, ()), frame)
+    polygon = None if roi is None else truth.region(roi)
+    for frame, true in sorted(truth.frames.items()):
+        detected = _detected(detections.get(frame, ()), f"detections[{frame}]")
+        found_m, true_m = _places_m(detected, f"detections[{frame}]"), _places_m(true, f"truth.frames.{frame}")
         if polygon is not None:
-            detected, true = _keep(detected, polygon), _keep(true, polygon)
-        yield detected, true, match_points(_positions(detected), _positions(true), radius)
+            kept, of_truth = inside_polygon(found_m, polygon), inside_polygon(true_m, polygon)
+            detected, true = _kept(detected, kept), _kept(true, of_truth)
+            found_m, true_m = found_m[kept], true_m[of_truth]
+        yield detected, true, match_points(found_m, true_m, radius)
 
 
-def _known_fractions(thing: Mapping[str, Any], cameras: Sequence[str] | None) -> dict[str, float]:
+def _known_fractions(true: TrueObject, cameras: Sequence[str] | None) -> dict[str, float]:
     """A true object's hidden fraction in each of the cameras that it names; of all that it names for ``None``."""
-    known = thing.get("hidden_fraction") or {}
-    _check_hidden_fraction(known, "truth")
+    known = true.hidden_fraction
     return {name: known[name] for name in (known if cameras is None else cameras) if name in known}
 
 
-def _linked(frames: Iterable[list[dict[str, Any]]], radius: float) -> Iterator[list[int]]:
-    """For each frame a number for each thing: that of its partner in the frame before, else a new one."""
-    new = count()
-    before, numbers = np.empty((0, 2)), list[int]()
-    for things in frames:
-        now = _positions(things)
-        same = {j: numbers[i] for i, j, _ in match_points(before, now, radius)}
-        before, numbers = now, [same[j] if j in same else next(new) for j in range(len(now))]
-        yield numbers
+def _detected(entries: Any, where: str) -> list[Detected]:
+    """One frame's detections as objects, whichever way they came."""
+    if any(hasattr(entry, "x") for entry in entries):
+        if wrong := [i for i, entry in enumerate(entries) if not (hasattr(entry, "x") and hasattr(entry, "y"))]:
+            raise ValueError(
+                f"{where}[{wrong[0]}]: expected an object with x and y, got {type(entries[wrong[0]]).__name__}"
+            )
+        return list(entries)
+    if any(isinstance(entry, Mapping) for entry in entries):
+        raise ValueError(
+            f"{where}: expected objects with x and y, or points (N, 2), got a list of {type(entries[0]).__name__}"
+        )
+    return [DetectedObject(x=x, y=y) for x, y in as_points(entries, name=where).tolist()]
 
 
-def _run_lengths(frames: Iterable[Sequence[Hashable]]) -> list[int]:
-    """For each run of successive frames that hold a key its length, by first appearance.
-
-    >>> _run_lengths([["a"], ["a", "b"], ["b"], ["a"]])
-    [2, 2, 1]
-    """
-    lengths: list[int] = []
-    runs: dict[Hashable, int] = {}  # the last frame's keys, and the index in `lengths` of their run
-    for keys in frames:
-        before, runs = runs, {}
-        for key in dict.fromkeys(keys):
-            if key not in before:
-                lengths.append(0)
-            runs[key] = before.get(key, len(lengths) - 1)
-            lengths[runs[key]] += 1
-    return lengths
+def _kept(objects: list[T], keep: Mask) -> list[T]:
+    return [each for each, inside in zip(objects, keep, strict=True) if inside]
 
 
-def _detected(entries: Any, frame: int) -> list[dict[str, Any]]:
-    """One frame's detections as mappings, whichever way they came."""
-    where = f"detections[{frame}]"
-    if len(entries) and isinstance(entries[0], Mapping):
-        return _detected_things(list(entries), where)
-    return _things([{"x": x, "y": y} for x, y in as_points(entries, name=where).tolist()], where)
-
-
-def _keep(things: list[dict[str, Any]], polygon: FloatArray) -> list[dict[str, Any]]:
-    inside = inside_polygon(_positions(things), polygon)
-    return [thing for thing, keep in zip(things, inside, strict=True) if keep]
-
-
-def _positions(things: list[dict[str, Any]]) -> FloatArray:
-    return as_points([[thing["x"], thing["y"]] for thing in things])
+def _places_m(objects: Sequence[Detected | TrueObject], where: str) -> FloatArray:
+    places = as_points([[each.x, each.y] for each in objects])
+    for i, j in np.argwhere(~np.isfinite(places))[:1].tolist():
+        raise ValueError(f"{where}[{i}].{'xy'[j]}: expected finite metres, got {places[i, j]}")
+    return places
 
 
 def _distances(a: npt.ArrayLike, b: npt.ArrayLike) -> FloatArray:
     return np.asarray(np.linalg.norm(as_points(a)[:, None] - as_points(b)[None], axis=2))
-
-
-def _ratio(part: int, whole: int) -> float | None:
-    return part / whole if whole else None
-
-
-def _union(floor: Floor, footprints: Sequence[npt.ArrayLike]) -> Mask:
-    union = np.zeros(floor.shape, dtype=bool)
-    for footprint in footprints:
-        union |= floor.polygon_mask(footprint)
-    return union
 
 
 def _check_fraction(value: float, name: str) -> None:
@@ -585,8 +481,3 @@ def _check_fraction(value: float, name: str) -> None:
 def _check_cameras(cameras: Sequence[str] | None) -> None:
     if isinstance(cameras, str):
         raise ValueError(f"cameras: expected a sequence of names, got {cameras!r}")
-
-
-def _check_map(occupied: Mask, floor: Floor) -> None:
-    if occupied.shape != floor.shape or occupied.dtype != bool:
-        raise ValueError(f"occupied: expected bool {floor.shape}, got {occupied.dtype} {occupied.shape}")

@@ -1,0 +1,59 @@
+"""All commands under one name: ``occlib COMMAND ...``."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from collections.abc import Sequence
+from importlib import import_module
+
+from occlib import __version__
+from occlib.cli.options import CommandParser
+
+COMMANDS = (
+    "reproduce",
+    "run",
+    "broadcast",
+    "listen",
+    "evaluate",
+    "calibrate",
+    "compare",
+    "sweep",
+    "render",
+    "data",
+)
+"""The commands in the order of ``occlib --help``. Each is the module ``occlib.cli.NAME``, whose ``add(commands)`` adds its options."""
+
+
+def build_parser() -> argparse.ArgumentParser:
+    """The command line with all its sub-commands."""
+    parser = argparse.ArgumentParser(prog="occlib", description="Two views in, an occlusion-free floor map out.")
+    parser.add_argument("--version", action="version", version=f"occlib {__version__}")
+    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND", parser_class=CommandParser)
+    for name in COMMANDS:
+        import_module(f"occlib.cli.{name}").add(commands)
+    return parser
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run a command; 0 on success, else a one-line error on stderr and another number."""
+    args = argparse.Namespace(command="")
+    try:
+        args = build_parser().parse_args(arguments)
+        from occlib.base.interrupts import stoppable  # after the parser, so that help is printed at once
+
+        with stoppable():
+            status = int(args.function(args))
+        sys.stdout.flush()
+        return status
+    except BrokenPipeError:  # the reader of a pipe left, as in `occlib ... | head`
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 141
+    except (ValueError, OSError) as error:
+        message = " ".join(str(error).split())
+        print(f"occlib {args.command}: {message}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt as stop:
+        print(f"occlib {args.command}: {str(stop) or 'interrupted'}", file=sys.stderr)
+        return 130

@@ -1,0 +1,18 @@
+"""The files that occlib reads and writes: each is a typed structure with one owner, and has a JSON Schema in ``docs/schemas``."""
+# fmt: off
+
+from occlib.formats.decoding import convert, parse_json, read_bytes, short
+from occlib.formats.manifests import LabManifest, Metric, RunManifest, SweepManifest
+from occlib.formats.message import Header, MapFloor, MapObject
+from occlib.formats.objects import DetectedObject, ObjectsLine, load_objects
+from occlib.formats.rig import CameraEntry, FloorEntry, RigFile, load_rig, rig_file
+from occlib.formats.scene import RoomFile, SceneFile
+from occlib.formats.schemas import SCHEMAS, json_schema, write_schemas
+from occlib.formats.truth import TrueObject, Truth, load_truth
+
+__all__ = [
+    "SCHEMAS", "CameraEntry", "DetectedObject", "FloorEntry", "Header", "LabManifest", "MapFloor", "MapObject",
+    "Metric", "ObjectsLine", "RigFile", "RoomFile", "RunManifest", "SceneFile", "SweepManifest", "TrueObject", "Truth",
+    "convert", "json_schema", "load_objects", "load_rig", "load_truth", "parse_json", "read_bytes", "rig_file", "short",
+    "write_schemas",
+]
