@@ -36,7 +36,7 @@ TRUTH_COLOUR = "#D55E00"
 
 
 REASON_COLOURS = {1: "#BFBFBF", 2: "#FBE3B5", 3: "#D9C9E8", 4: "#CDE8D5"}
-"""Why a cell is unknown, :data:`occlib.mapping.REASONS`: grey, pale orange, pale violet, pale green; in grey print from dark to light."""
+"""Why a cell is unknown (:data:`occlib.mapping.REASONS`): grey, pale orange, violet, green; in grey print dark to light."""
 
 
 def camera_colours(names: Sequence[str]) -> dict[str, str]:
@@ -63,7 +63,7 @@ def show_image(ax: Axes, image: Image, title: str = "", *, colour: str | None = 
 def show_view(
     ax: Axes, camera: Camera, image: Image | None, title: str = "", *, colour: str | None = None, reason: str = ""
 ) -> None:
-    """A camera's picture or, where it has none, an empty panel of its size; across it why the camera was left out, if it was.
+    """A camera's picture, or an empty panel of its size; across it why the camera was left out, if it was.
 
     Parameters
     ----------
@@ -123,19 +123,19 @@ def show_map(
 ) -> None:
     """The occupancy map (white free, black occupied, grey unknown), its objects and, dashed, the true footprints.
 
-    With ``reason``, uint8 (ny, nx) as in ``FrameResult``, what is unknown is tinted by its reason, and a legend names those
-    that occur.
+    With ``reason``, uint8 (ny, nx) as in ``FrameResult``, what is unknown is tinted by its reason, and a legend names
+    those that occur.
     """
     shade = np.select([grid.data == 100, grid.data == 0], [0.1, 1.0], 0.75)
     if reason is None:
         show_floor(ax, shade, grid.floor, title, cmap="gray", vmax=1)
     else:
         _show_reasons(ax, shade, reason, grid.floor, title)
-    for thing in objects:
-        (x, y), (vx, vy) = thing.position_m, thing.velocity_mps
-        ax.plot(x, y, "o", color=np.array(thing.colour) / 255, markeredgecolor="white", markersize=7)
+    for vector in objects:
+        (x, y), (vx, vy) = vector.position_m, vector.velocity_mps
+        ax.plot(x, y, "o", color=np.array(vector.colour) / 255, markeredgecolor="white", markersize=7)
         number = ax.annotate(
-            str(thing.id), (x, y), xytext=(6, 6), textcoords="offset points", fontsize=9, color="white"
+            str(vector.id), (x, y), xytext=(6, 6), textcoords="offset points", fontsize=9, color="white"
         )
         number.set_path_effects([withStroke(linewidth=2.5, foreground="#0072B2")])  # on black and on white alike
         if np.hypot(vx, vy) > 0.05:
@@ -212,8 +212,8 @@ def overview(
 ) -> Figure:
     """The views of an instant, their foreground on the floor, and the map: what ``occlib run`` saves.
 
-    A camera without a picture has an empty panel, and one that was left out says why. What is unknown on the map is tinted by
-    its reason.
+    A camera without a picture has an empty panel, and one that was left out says why. What is unknown on the map is
+    tinted by its reason.
     """
     names = list(rig.cameras)
     colours = camera_colours(names)
@@ -227,13 +227,13 @@ def overview(
         show_view(ax, rig[name], images.get(name), name, colour=colours[name], reason=result.excluded.get(name, ""))
         limits = ax.get_xlim(), ax.get_ylim()
         outline_on_image(ax, rig[name], rim, color=colours[name], linestyle=":")
-        for thing in () if name in result.excluded else result.objects:
-            pixel = rig[name].floor_to_pixels([thing.position_m])
+        for vector in () if name in result.excluded else result.objects:
+            pixel = rig[name].floor_to_pixels([vector.position_m])
             if rig[name].inside(pixel)[0]:
-                hidden = name in thing.hidden_in
+                hidden = name in vector.hidden_in
                 ax.plot(*pixel.T, "o", markersize=14, markerfacecolor="none", markeredgewidth=1.8,
                         color="white", linestyle="none", alpha=0.5 if hidden else 1.0)  # fmt: skip
-                ax.annotate(f"{thing.id}{' hidden' if hidden else ''}", pixel[0], xytext=(9, -12), color="white",
+                ax.annotate(f"{vector.id}{' hidden' if hidden else ''}", pixel[0], xytext=(9, -12), color="white",
                             textcoords="offset points", fontsize=9, fontweight="bold")  # fmt: skip
         ax.set(xlim=limits[0], ylim=limits[1])
     show_views_on_floor(

@@ -303,12 +303,12 @@ class Tracker:
         Raises
         ------
         ValueError
-            ``time`` does not increase, or a position or area is not finite. The tracker stays as it was.
+            ``time`` does not increase, or a position, area or size is not finite. The tracker stays as it was.
         """
         self.check_time(time)
         for index, seen in enumerate(observations):
-            if not all(map(math.isfinite, (*seen.position_m, seen.area_m2))):
-                raise ValueError(f"observations[{index}]: expected finite position and area, got {seen}")
+            if not all(map(math.isfinite, (*seen.position_m, seen.area_m2, seen.size_m2 or 0.0))):
+                raise ValueError(f"observations[{index}]: expected finite position, area and size, got {seen}")
         assigned = self._assign(observations, time)
         anew = self._is_new_scene(observations, assigned, time)
         self._time, self._frame = time, self._frame + 1

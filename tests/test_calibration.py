@@ -12,7 +12,7 @@ import pytest
 import yaml
 
 from occlib import calibration
-from occlib.base.files import write_image
+from occlib.base.files import encode_image, write_file
 from occlib.geometry import Camera
 from occlib.lens import Lens
 
@@ -187,6 +187,10 @@ def test_views_that_do_not_fix_the_camera() -> None:
     for corner_sets, message in cases:
         with pytest.raises(ValueError, match=message):
             calibration.calibrate(corner_sets, board, SIZE)
+
+
+def write_image(path: Path, image: np.ndarray[Any, Any]) -> Path:
+    return write_file(path, encode_image(path.suffix, image))
 
 
 def test_images_without_a_board_are_skipped_and_named(

@@ -187,7 +187,7 @@ def test_alpha_of_16_bit_pictures(tmp_path: Path) -> None:
     assert cv2.imwrite(str(tmp_path / "map.png"), rgba)
     assert files.read_image(tmp_path / "map.png", alpha=True)[0].tolist() == [[254] * 3 + [a] for a in (255, 128, 0)]
     assert files.read_image(tmp_path / "map.png").shape == (1, 3, 3)
-    files.write_image(tmp_path / "grey.png", np.zeros((1, 3), np.uint8))
+    assert cv2.imwrite(str(tmp_path / "grey.png"), np.zeros((1, 3), np.uint8))
     assert files.read_image(tmp_path / "grey.png", alpha=True).shape == (1, 3, 3)
 
 

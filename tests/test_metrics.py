@@ -303,7 +303,7 @@ def test_object_vectors_and_objects_of_a_file_score_alike() -> None:
 
 
 def test_frames_of_the_truth_are_scored_in_order() -> None:
-    truth = Truth({i: [TrueObject(id="A", x=0, y=0)] for i in (2, 0, 1)})
+    truth = Truth({i: [TrueObject(id="A", x=0, y=0)] for i in (0, 2, 1)})
     seen = {i: [DetectedObject(id=n, x=0, y=0)] for i, n in ((0, 1), (1, 1), (2, 2))}
     assert evaluate(seen, truth).id_switches == 1
 

@@ -25,9 +25,9 @@ from hypothesis import strategies as st
 
 from occlib import recordings
 from occlib.base import files as files_module
-from occlib.base.files import encode_image, read_image, read_yaml, staged_folder, write_file, write_image
-from occlib.explaining.appearance import read_templates
+from occlib.base.files import encode_image, read_image, read_yaml, staged_folder, write_file
 from occlib.geometry import Rig
+from occlib.identification import read_templates
 from occlib.recordings import Footage, check_size, fetch, input_format, open_recording, parse_frames
 
 Array = np.ndarray[Any, Any]
@@ -73,7 +73,7 @@ def change_rig(folder: Path, **fields: Any) -> None:
 def test_a_red_picture_reads_red(tmp_path: Path) -> None:
     save_rgb(tmp_path / "red.png", plain((200, 10, 30)))
     assert read_image(tmp_path / "red.png")[0, 0].tolist() == [200, 10, 30]
-    write_image(tmp_path / "again.png", plain((200, 10, 30)))
+    write_file(tmp_path / "again.png", encode_image(".png", plain((200, 10, 30))))
     stored = cv2.imread(str(tmp_path / "again.png"))
     assert stored is not None
     assert stored[0, 0].tolist() == [30, 10, 200]  # OpenCV reads BGR
@@ -83,7 +83,7 @@ def test_a_red_picture_reads_red(tmp_path: Path) -> None:
 def test_pictures_round_trip(tmp_path: Path, suffix: str) -> None:
     ramp = np.tile(np.arange(160, dtype=np.uint8), (120, 1))
     image = ramp if suffix == ".pgm" else np.dstack([ramp, ramp // 2, 255 - ramp])
-    path = write_image(tmp_path / f"picture{suffix}", image)
+    path = write_file(tmp_path / f"picture{suffix}", encode_image(suffix, image))
     expected = np.dstack([ramp] * 3) if suffix == ".pgm" else image
     error = np.abs(read_image(path).astype(int) - expected)
     assert error.max() <= (8 if suffix == ".jpg" else 0)
@@ -198,7 +198,7 @@ def test_numbers_that_come_twice_are_counted(tiny_recording: Path) -> None:
 def test_jpg_and_upper_case_names(tiny_recording: Path) -> None:
     for name in ("left", "right"):
         path = tiny_recording / "frames" / name / "0004.png"
-        write_image(path.with_suffix(".jpg"), read_image(path))
+        write_file(path.with_suffix(".jpg"), encode_image(".jpg", read_image(path)))
         path.unlink()
         path.with_name("0003.png").rename(path.with_name("0003.PNG"))
     assert numbers_of(tiny_recording) == [0, 1, 2, 3, 4]

@@ -254,6 +254,17 @@ def test_dictionary_is_exactly_the_contract_and_json() -> None:
     )
 
 
+def test_the_size_is_the_one_that_was_measured_last() -> None:
+    tracker = Tracker()
+    (first,) = tracker.update([at(0.0, size_m2=0.03)], 0.0)
+    (second,) = tracker.update([at(0.0, size_m2=0.040001)], 0.1)
+    assert (first.size_m2, second.to_dict()["size"]) == (0.03, 0.04)
+    tracker.update([], 0.2)
+    assert [vector.size_m2 for vector in tracker.coasting()] == [0.040001]
+    with pytest.raises(ValueError, match=r"observations\[0\]: expected finite position, area and size"):
+        tracker.update([at(0.0, size_m2=math.nan)], 0.3)
+
+
 def test_inputs_are_unchanged() -> None:
     observations = [at(0.0), at(1.0)]
     before = list(observations)
@@ -274,7 +285,7 @@ def test_time_must_increase(time: float) -> None:
 
 def test_bad_observations_leave_the_tracker_as_it_was() -> None:
     tracker = Tracker()
-    with pytest.raises(ValueError, match=r"observations\[1\]: expected finite position and area"):
+    with pytest.raises(ValueError, match=r"observations\[1\]: expected finite position, area and size"):
         tracker.update([at(0.0), at(math.nan)], 0.0)
     assert tracker.events == [] and ids(tracker.update([at(0.0)], 0.0)) == [1]
 

@@ -1,4 +1,4 @@
-"""DOC"""
+"""Files and folders read and written whole, their SHA-256, and pictures as arrays."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import os
 import shutil
 import tempfile
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
@@ -18,6 +18,7 @@ import numpy as np
 import yaml
 
 from occlib.base.arrays import Image
+from occlib.base.interrupts import uninterrupted
 
 
 def read_yaml(path: str | Path) -> Any:
@@ -40,18 +41,32 @@ def load_json(path: Path) -> Any:
         raise ValueError(f"{path}: not valid JSON") from None
 
 
+def sha256(content: bytes | str) -> str:
+    """SHA-256 of bytes, or of a text in UTF-8, as 64 hexadecimal digits.
+
+    >>> sha256("")[:8]
+    'e3b0c442'
+    """
+    return hashlib.sha256(content.encode() if isinstance(content, str) else content).hexdigest()
+
+
 def file_hash(path: Path) -> str:
     """SHA-256 of a file, empty if there is none."""
-    return hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else ""
+    return sha256(path.read_bytes()) if path.is_file() else ""
+
+
+def file_hashes(folder: Path, pattern: str = "*") -> dict[str, str]:
+    """SHA-256 of each file in and below a folder, ``{"sub/name.png": hash}``; caches of Python are left out.
+
+    This is what every manifest says of its files: with equal hashes nothing was changed, added or lost.
+    """
+    paths = [path for path in sorted(folder.rglob(pattern)) if path.is_file() and "__pycache__" not in path.parts]
+    return {path.relative_to(folder).as_posix(): file_hash(path) for path in paths}
 
 
 def folder_hash(folder: Path, pattern: str = "*") -> str:
     """SHA-256 of the names and contents of the files in and below a folder."""
-    digest = hashlib.sha256()
-    for path in sorted(folder.rglob(pattern)):
-        if path.is_file() and "__pycache__" not in path.parts:
-            digest.update(f"{path.relative_to(folder).as_posix()}\0{file_hash(path)}\n".encode())
-    return digest.hexdigest()
+    return sha256("".join(f"{name}\0{value}\n" for name, value in file_hashes(folder, pattern).items()))
 
 
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
@@ -111,10 +126,23 @@ def _write_errors(target: Path) -> Iterator[None]:
 
 
 @contextmanager
-def staged_folder(path: str | Path) -> Iterator[Path]:
-    """A temporary folder inside ``path`` whose files move to ``path`` when all went well, and vanish otherwise.
+def staged_folder(path: str | Path, *, remove: Iterable[str] = ()) -> Iterator[Path]:
+    """Publish files whole or not at all: a temporary folder inside ``path``, whose files move to ``path`` at the end.
 
-    Made at once, so that a folder that cannot be written is found out before the work.
+    Where the ``with`` block fails or is interrupted, ``path`` stays as it was; once the files move, nothing but
+    ``kill -9`` interrupts. The folder is made at once, so that one that cannot be written is found out before the work.
+
+    Parameters
+    ----------
+    path
+        The folder to publish to; made if need be.
+    remove
+        Names of files in ``path`` that go when the new ones have come.
+
+    Raises
+    ------
+    ValueError
+        In one line: the folder cannot be written, or a folder is in the way of a file or a file in that of a folder.
     """
     target = Path(path)
     made = not target.exists()
@@ -134,9 +162,12 @@ def staged_folder(path: str | Path) -> Iterator[Path]:
             parents = {p for final in targets for p in final.parents if p.is_relative_to(target)}
             if blocked := sorted(p for p in parents if p.exists() and not p.is_dir()):
                 raise ValueError(f"{blocked[0]}: cannot write (a file is in the way of the folder)")
-            for file, final in zip(files, targets, strict=True):
-                final.parent.mkdir(parents=True, exist_ok=True)
-                os.replace(file, final)
+            with uninterrupted():
+                for file, final in zip(files, targets, strict=True):
+                    final.parent.mkdir(parents=True, exist_ok=True)
+                    os.replace(file, final)
+                for name in remove:
+                    (target / name).unlink(missing_ok=True)
         except OSError as error:
             raise ValueError(f"{target}: cannot write ({error.strerror})") from None
     finally:
@@ -199,8 +230,3 @@ def encode_image(suffix: str, image: Image, *, quality: int = 92) -> bytes:
     if not done:
         raise ValueError(f"image: cannot encode as {suffix}")
     return bytes(data.tobytes())
-
-
-def write_image(path: str | Path, image: Image) -> Path:
-    """Write a uint8 grey or RGB image; the suffix chooses the format."""
-    return write_file(path, encode_image(Path(path).suffix, image))

@@ -1,4 +1,4 @@
-"""DOC"""
+"""What signals do to long work: end it as Ctrl-C does, or wait until files are in place."""
 
 from __future__ import annotations
 
@@ -38,5 +38,5 @@ def _handling(handler: Any, *signals: str) -> Iterator[None]:
     try:
         yield
     finally:
-        for name, before in previous.items():
-            signal.signal(getattr(signal, name), before)
+        for name, previous_handler in previous.items():
+            signal.signal(getattr(signal, name), previous_handler)

@@ -1,7 +1,7 @@
 """What has changed in a view: intensity, background, difference, threshold, shadows, health (sections 2 and 4; Figs 4-6)."""
 # fmt: off
 
-from occlib.foreground.background import Background, as_background, average_background
+from occlib.foreground.background import Background, as_background, average_background, weighted_median
 from occlib.foreground.difference import foreground_mask, smooth, subtract_background
 from occlib.foreground.evidence import Difference, Evidence
 from occlib.foreground.health import CameraMonitor
@@ -32,4 +32,5 @@ __all__ = [
     "threshold_level",
     "to_grey",
     "triangle_threshold",
+    "weighted_median",
 ]

@@ -1,4 +1,4 @@
-"""DOC"""
+"""How much two views disagree about the colour of what AND claims: what it takes to tell a ghost from an object."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ from occlib.registration import FloorWarp
 def colour_study(recording: str, frames: Iterable[int], *, height: float = 0.05) -> list[dict[str, Any]]:
     """How much two views disagree at what AND claims in a recording of the lab, for every pair of its cameras.
 
-    The masks are the scene's ideal silhouettes, the colours those of the pictures. Few frames hold a ghost. But a ghost shows one
-    object to one camera and another object to the other, so for each two objects in plain view the distance between the colour
-    of the one in one view and of the other in the other view is what a ghost of theirs would show.
+    The masks are the scene's ideal silhouettes, the colours those of the pictures. Few frames hold a ghost. But a ghost
+    shows one object to one camera and another object to the other, so for each two objects in plain view the distance
+    between the colour of the one in one view and of the other in the other view is what a ghost of theirs would show.
 
     Parameters
     ----------
@@ -38,8 +38,9 @@ def colour_study(recording: str, frames: Iterable[int], *, height: float = 0.05)
 
     Returns
     -------
-    Rows ``{"frame", "cameras", "kind", "object", "x", "y", "disagreement"}``. ``kind``: ``"real, in plain view"``, ``"real, partly
-    hidden"`` (more than a tenth from one of the two cameras), ``"ghost"`` or ``"ghost to be"``; m and grey levels.
+    Rows ``{"frame", "cameras", "kind", "object", "x", "y", "disagreement"}``. ``kind``: ``"real, in plain
+    view"``, ``"real, partly hidden"`` (more than a tenth from one of the two cameras), ``"ghost"`` or ``"ghost to
+    be"``; m and grey levels.
     """
     source, scene = open_recording(recording), load_scene(recording)
     rig, floor = source.rig, source.rig.floor

@@ -1,4 +1,4 @@
-"""DOC"""
+"""Cameras on the walls of the lab, and random crowds of upright objects on its floor, without a scene file."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def wall_rig(
         How many, 1 to 8: the first of :data:`BEARINGS` (two are opposite, the first four at right angles). Or names and
         bearings in degrees; the angle between two bearings is the angle at which their sight-lines cross in the middle.
     height
-        Of the cameras above the floor in m, above 0.7: the lens is to show things of 0.6 m whole.
+        Of the cameras above the floor in m, above 0.7: the lens is to show objects of 0.6 m whole.
     floor
         Must lie inside the walls, at :data:`ROOM_M`.
     size
@@ -167,7 +167,7 @@ def random_crowd(
     Examples
     --------
     >>> crowd = random_crowd(3, np.random.default_rng(0))
-    >>> [thing.label for thing in crowd]
+    >>> [each.label for each in crowd]
     ['box', 'cylinder', 'box']
     """
     crowd: list[SceneObject] = []
@@ -189,7 +189,9 @@ def random_crowd(
 
 
 def random_crowds(number: int, count: int, seed: int, **sizes: Any) -> list[tuple[SceneObject, ...]]:
-    """``number`` crowds of ``count`` objects, each from its own random numbers: the first do not depend on how many follow.
+    """``number`` crowds of ``count`` objects, each from its own random numbers.
+
+    The first do not depend on how many follow.
 
     >>> random_crowds(1, 4, 0) == random_crowds(3, 4, 0)[:1]
     True
@@ -199,7 +201,7 @@ def random_crowds(number: int, count: int, seed: int, **sizes: Any) -> list[tupl
 
 def places_m(crowd: Sequence[SceneObject]) -> FloatArray:
     """Where the objects stand, (N, 2) in m."""
-    return as_points([thing.pose(0)[:2] for thing in crowd])
+    return as_points([each.pose(0)[:2] for each in crowd])
 
 
 def truth_of(crowds: Sequence[Sequence[SceneObject]]) -> Truth:

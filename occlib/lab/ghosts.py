@@ -1,4 +1,9 @@
-"""DOC"""
+"""Shadows and ghosts, predicted by geometry alone.
+
+A camera at height ``H`` sees an object of height ``h`` as a shadow on the floor that starts at its base and points away
+from the camera. Where the shadow of one object from one camera crosses the shadow of another object from another
+camera, away from both bases, AND claims something where nothing stands: a *ghost*.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +18,7 @@ from scipy.spatial import ConvexHull
 from occlib.base.arrays import FloatArray, Mask, as_points
 from occlib.geometry import Camera, Floor, Rig
 from occlib.lab.scenes import SceneObject
-from occlib.lab.shapes import hit_distance, unit_mesh
+from occlib.lab.shapes import hit_distance
 from occlib.localization import find_regions
 
 LEAST_AREA_M2 = 0.004
@@ -40,29 +45,30 @@ def smear_m(distance: npt.ArrayLike, object_height: npt.ArrayLike, camera_height
         return np.asarray(np.where(high > h, d * h / (high - h), np.inf))
 
 
-def shadow_outline_m(camera: Camera, thing: SceneObject) -> FloatArray:
+def shadow_outline_m(camera: Camera, scene_object: SceneObject) -> FloatArray:
     """The outline of a convex object's shadow on the floor, polygon (M, 2) in m, by similar triangles.
 
     Raises ``ValueError`` if the object reaches up to the camera.
     """
-    points = np.vstack(
-        [unit_mesh(p.shape)[0] @ m[:3, :3].T + m[:3, 3] for p, m in zip(thing.parts, thing.matrices(0), strict=True)]
-    )
+    points = scene_object.vertices_m(0)
     x, y, high = camera.centre_m
     if points[:, 2].max() >= high:
-        raise ValueError(f"thing: expected it below the camera at {high:.2f} m, got {points[:, 2].max():.2f} m")
+        raise ValueError(f"scene_object: expected it below the camera at {high:.2f} m, got {points[:, 2].max():.2f} m")
     landing = np.array([x, y]) + (points[:, :2] - [x, y]) * (high / (high - points[:, 2:]))
     return np.asarray(landing[ConvexHull(landing).vertices])
 
 
-def shadow_mask(camera: Camera, thing: SceneObject, floor: Floor) -> Mask:
-    """Cells whose centre this camera has behind the object, or under it: bool (ny, nx), by rays through the cell centres.
+def shadow_mask(camera: Camera, scene_object: SceneObject, floor: Floor) -> Mask:
+    """Cells that the object hides from this camera, those under it included, bool (ny, nx): rays to the cell centres.
 
     Unlike a mask of pixels it has no rim of half a pixel: the shadow at unlimited resolution.
     """
     cells = np.column_stack([floor.cell_centres_m(), np.zeros(floor.shape[0] * floor.shape[1])])
     rays = cells - camera.centre_m
-    hit = [hit_distance(p.shape, m, camera.centre_m, rays) for p, m in zip(thing.parts, thing.matrices(0), strict=True)]
+    hit = [
+        hit_distance(p.shape, m, camera.centre_m, rays)
+        for p, m in zip(scene_object.parts, scene_object.matrices(0), strict=True)
+    ]
     return np.isfinite(np.min(hit, axis=0)).reshape(floor.shape)
 
 
@@ -80,8 +86,8 @@ def crossings(rig: Rig, crowd: Sequence[SceneObject], *, touch_m: float = 0.03) 
 
     Returns
     -------
-    ``{(i, j): polygon (M, 2) in m}``: the shadow of ``crowd[i]`` from the first camera crosses that of ``crowd[j]`` from the
-    second on at least :data:`LEAST_AREA_M2` of the floor.
+    ``{(i, j): polygon (M, 2) in m}``: the shadow of ``crowd[i]`` from the first camera crosses that of
+    ``crowd[j]`` from the second on at least :data:`LEAST_AREA_M2` of the floor.
 
     Raises
     ------
@@ -99,8 +105,8 @@ def crossings(rig: Rig, crowd: Sequence[SceneObject], *, touch_m: float = 0.03) 
     """
     if len(rig.cameras) != 2:
         raise ValueError(f"rig: expected two cameras, got {len(rig.cameras)}")
-    first, second = ([shadow_outline_m(camera, thing) for thing in crowd] for camera in rig.cameras.values())
-    bases = [thing.footprint(0) for thing in crowd]
+    first, second = ([shadow_outline_m(camera, each) for each in crowd] for camera in rig.cameras.values())
+    bases = [each.footprint(0) for each in crowd]
     wide = [_grown(base, touch_m) for base in bases]
     (x0, x1), (y0, y1) = rig.floor.x, rig.floor.y
     rim = np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]])
@@ -131,8 +137,8 @@ def _overlap(a: FloatArray, b: FloatArray) -> tuple[float, FloatArray]:
 def expected_crossings(rig: Rig, count: int, height: float) -> float:
     """The law of crossings: how many shadows of thin objects at random places cross, on average.
 
-    ``n (n - 1) (h / H)^2 b <y> / A``, with the distance ``b`` between the two cameras, the mean distance ``<y>`` of the floor
-    from the line below them, and the floor's area ``A``.
+    ``n (n - 1) (h / H)^2 b <y> / A``, with the distance ``b`` between the two cameras, the mean distance ``<y>`` of the
+    floor from the line below them, and the floor's area ``A``.
 
     Parameters
     ----------
@@ -143,9 +149,10 @@ def expected_crossings(rig: Rig, count: int, height: float) -> float:
 
     Notes
     -----
-    A shadow ends at a point p if its object stands up to ``d h / H`` before it, ``d`` being p's distance from the camera. Two
-    such sticks with the directions of the two cameras cross at p with the density ``d1 d2 (h / H)^2 sin(theta) / A^2``. But
-    ``d1 d2 sin(theta)`` is twice the area of the triangle of p and the cameras: the base ``b`` times the height ``y``.
+    A shadow ends at a point p if its object stands up to ``d h / H`` before it, ``d`` being p's distance from the
+    camera. Two such sticks with the directions of the two cameras cross at p with the density ``d1 d2 (h / H)^2
+    sin(theta) / A^2``. But ``d1 d2 sin(theta)`` is twice the area of the triangle of p and the cameras: the base ``b``
+    times the height ``y``.
 
     Examples
     --------
@@ -166,6 +173,6 @@ def ghost_regions(occupied: Mask, crowd: Sequence[SceneObject], floor: Floor) ->
     """How many regions of a map hold no part of any base, counted from :data:`LEAST_AREA_M2` on."""
     labels, regions = find_regions(occupied, min_area=LEAST_AREA_M2 / floor.cell_area)
     real: set[int] = set()
-    for thing in crowd:
-        real |= set(labels[floor.polygon_mask(thing.footprint(0))].tolist())
+    for each in crowd:
+        real |= set(labels[floor.polygon_mask(each.footprint(0))].tolist())
     return len(regions) - len(real - {0})

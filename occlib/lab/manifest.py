@@ -1,14 +1,13 @@
-"""DOC"""
+"""The manifest of the rendered recordings: how they were made, and whether every file is still what it was."""
 
 from __future__ import annotations
 
-import hashlib
 import json
 from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-from occlib.base.files import read_yaml, write_file
+from occlib.base.files import file_hashes, load_json, read_yaml, write_file
 from occlib.recordings import LAB, lab_recordings
 
 
@@ -19,19 +18,18 @@ def write_manifest(lab_dir: str | Path = LAB, *, spp: int = 6, llvm: str | None 
     ``drjit.detail.llvm_version()`` said.
     """
     lab = Path(lab_dir)
-    files = {str(p.relative_to(lab).as_posix()): _fingerprint(p) for p in _lab_files(lab)}
-    how: dict[str, Any] = {"by": "occlib.lab.render", "variant": "llvm_ad_rgb", "spp": spp, "versions": {}}
+    files = {name: {"bytes": (lab / name).stat().st_size, "sha256": value} for name, value in _hashes(lab).items()}
+    made: dict[str, Any] = {"by": "occlib.lab.render", "variant": "llvm_ad_rgb", "spp": spp, "versions": {}}
     for package in ("mitsuba", "drjit", "pyoidn", "numpy", "opencv-python-headless", "scipy"):
         try:
-            how["versions"][package] = metadata.version(package)
+            made["versions"][package] = metadata.version(package)
         except metadata.PackageNotFoundError:
             pass
     if llvm:
-        how["versions"]["llvm"] = llvm
-    how["seeds"] = {p.parent.name: read_yaml(p).get("seed", 0) for p in sorted(lab.glob("*/scene.yaml"))}
-    content = {"made": how, "bytes": sum(f["bytes"] for f in files.values()), "files": files}
-    write_file(lab / "manifest.json", (json.dumps(content, indent=1) + "\n").encode())
-    return lab / "manifest.json"
+        made["versions"]["llvm"] = llvm
+    made["seeds"] = {p.parent.name: read_yaml(p).get("seed", 0) for p in sorted(lab.glob("*/scene.yaml"))}
+    content = {"made": made, "bytes": sum((lab / name).stat().st_size for name in files), "files": files}
+    return write_file(lab / "manifest.json", json.dumps(content, indent=1) + "\n")
 
 
 def verify_manifest(lab_dir: str | Path = LAB) -> list[str]:
@@ -40,20 +38,16 @@ def verify_manifest(lab_dir: str | Path = LAB) -> list[str]:
     if not lab.is_dir():
         raise ValueError(f"{lab}: no such folder ({lab_recordings()})")
     try:
-        expected = json.loads((lab / "manifest.json").read_text(encoding="utf-8"))["files"]
-    except (OSError, ValueError, KeyError, TypeError) as error:
+        expected = {name: entry["sha256"] for name, entry in load_json(lab / "manifest.json")["files"].items()}
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
         return [f"manifest.json: cannot be read ({error})"]
-    present = {str(p.relative_to(lab).as_posix()): p for p in _lab_files(lab)}
+    present = _hashes(lab)
     problems = [f"{name}: missing" for name in expected if name not in present]
     problems += [f"{name}: not in the manifest" for name in present if name not in expected]
-    problems += [f"{n}: changed" for n, p in present.items() if n in expected and _fingerprint(p) != expected[n]]
+    problems += [f"{name}: changed" for name in present if present[name] != expected.get(name, present[name])]
     return sorted(problems)
 
 
-def _lab_files(lab: Path) -> list[Path]:
-    return sorted(p for p in lab.rglob("*") if p.is_file() and p.name != "manifest.json" and p.suffix != ".part")
-
-
-def _fingerprint(path: Path) -> dict[str, Any]:
-    data = path.read_bytes()
-    return {"bytes": len(data), "sha256": hashlib.sha256(data).hexdigest()}
+def _hashes(lab: Path) -> dict[str, str]:
+    """SHA-256 of each file that the manifest vouches for: not itself, and no download that was cut off."""
+    return {n: v for n, v in file_hashes(lab).items() if n != "manifest.json" and not n.endswith(".part")}

@@ -2,13 +2,13 @@
 
 Two wall cameras watch a floor with obstacles and robots. A station turns the silhouettes into a map, by one of
 :data:`MAPS`, and broadcasts it; every robot is a process of its own that receives the maps through a real socket, plans
-with :class:`occlib.robots.navigation.Navigator` and drives. The same missions are driven on every map, and what happens is scored
-against what really stands on the floor. Silhouettes come from geometry (:mod:`occlib.lab.simulation`): whatever goes wrong is the
-map's doing.
+with :class:`occlib.robots.Navigator` and drives. The same missions are driven on every map, and what happens
+is scored against what really stands on the floor. Silhouettes come from geometry (:mod:`occlib.lab.simulation`):
+whatever goes wrong is the map's doing.
 
-Each robot knows where it is itself, as by its wheels. Time is that of the simulation, so that the results do not depend on
-the machine: each step waits for every robot's answer. Orders and answers are JSON, a line each, on the robots' standard
-input and output.
+Each robot knows where it is itself, as by its wheels. Time is that of the simulation, so that the results do not depend
+on the machine: each step waits for every robot's answer. Orders and answers are JSON, a line each, on the robots'
+standard input and output.
 """
 
 from __future__ import annotations
@@ -39,8 +39,9 @@ from occlib.mapping import MapData, occupancy_map
 from occlib.robots import Navigator, Point, Reservations, Trajectory, path_length_m, plan, position_at, shorten
 
 MAPS = ("truth", "one view", "and", "explain", "explain, unknown free")
-"""What is broadcast: the true footprints; what the left camera alone cannot see as floor; AND; the objects that explain both
-views, where what both see as foreground and no object explains is unknown. In the last, robots may enter unknown cells."""
+"""What is broadcast: the true footprints; what the left camera alone cannot see as floor; AND; the objects that explain
+both views, where what both see as foreground and no object explains is unknown. In the last, robots may enter unknown
+cells."""
 
 
 FLOOR = Floor((-2.0, 2.0), (-1.5, 1.5), 0.04)
@@ -86,7 +87,8 @@ class Outcome:
     length_ratio
         Driven by the robots that finished, over the shortest ways on the true map; NaN if none did.
     blocked_m2
-        Free floor, without that under the robots, that the map called occupied or, unless robots may enter it, unknown; mean.
+        Free floor, without that under the robots, that the map called occupied or, unless robots may enter it, unknown;
+        mean.
     time_s
         Simulated, until the end.
     paths
@@ -162,8 +164,8 @@ def run_missions(missions: Sequence[Mission], maps: Sequence[str] = MAPS, *, pro
 def summary(outcomes: Sequence[Outcome]) -> pd.DataFrame:
     """A row for each kind of map: collisions in all, and means over the missions with the ends of their 95 % intervals.
 
-    Columns: ``collisions``; ``arrive``, the share of robots that arrive; ``way``, over the shortest; ``refused (m²)``; and of the
-    last three ``, low`` and ``, high``.
+    Columns: ``collisions``; ``arrive``, the share of robots that arrive; ``way``, over the shortest; ``refused (m²)``;
+    and of the last three ``, low`` and ``, high``.
     """
     if not outcomes:
         raise ValueError("outcomes: expected one or more, got none")
@@ -192,7 +194,7 @@ def drive_together(
     data, floor
         int8 (ny, nx), without the robots on it.
     ends_m
-        For each robot its start and its goal; whoever is named first has priority.
+        For each robot its start and its goal; the first has priority over the second, and so on.
     """
     brains = {name: Navigator(goal, radius_m=RADIUS_M, speed_mps=SPEED_MPS) for name, (_, goal) in ends_m.items()}
     tracks = {name: [start] for name, (start, _) in ends_m.items()}
@@ -214,10 +216,10 @@ class _Station:
         self.rig = wall_rig(2, floor=FLOOR, size=(320, 240))
         self.simulation, self.explainer = Simulation(self.rig), Explainer(self.rig)
         self.everywhere = np.ones(FLOOR.shape, bool)
-        self.things: list[Cylinder] = []
+        self.cylinders: list[Cylinder] = []
 
-    def masks(self, things: Sequence[SceneObject]) -> dict[str, Mask]:
-        return union(self.simulation.silhouettes(things))
+    def masks(self, crowd: Sequence[SceneObject]) -> dict[str, Mask]:
+        return union(self.simulation.silhouettes(crowd))
 
     def map(self, kind: str, masks: dict[str, Mask], true: Mask) -> MapData:
         known = self.everywhere
@@ -228,14 +230,14 @@ class _Station:
         else:
             occupied = self.simulation.occupied(masks, "and")
         if kind.startswith("explain"):
-            self.things = self.explainer.explain(evidence_of(masks), self.things)
-            known, occupied = ~occupied, footprints(self.things, occupied, FLOOR) > 0
+            self.cylinders = self.explainer.explain(evidence_of(masks), self.cylinders)
+            known, occupied = ~occupied, footprints(self.cylinders, occupied, FLOOR) > 0
         return occupancy_map(occupied, known, FLOOR).data
 
 
-def _footprints(things: Sequence[SceneObject]) -> Mask:
+def _footprints(crowd: Sequence[SceneObject]) -> Mask:
     """Cells under the objects."""
-    return np.any([np.zeros(FLOOR.shape, bool), *(FLOOR.polygon_mask(t.footprint(0)) for t in things)], axis=0)
+    return np.any([np.zeros(FLOOR.shape, bool), *(FLOOR.polygon_mask(each.footprint(0)) for each in crowd)], axis=0)
 
 
 def _bodies(positions: Sequence[Point]) -> list[SceneObject]:
@@ -247,8 +249,8 @@ def _drive(mission: Mission, kind: str, station: _Station, publisher: Publisher,
     names, daring = list(range(len(mission.starts))), kind.endswith("unknown free")
     for k in names:
         robots[k].ask({"goal": mission.goals[k], "unknown_free": daring})
-    station.things = []
-    outlines = [thing.footprint(0) for thing in mission.obstacles]
+    station.cylinders = []
+    outlines = [each.footprint(0) for each in mission.obstacles]
     still, under = station.masks(mission.obstacles), _footprints(mission.obstacles)
     plans: list[dict[str, Any]] = [{"trajectory": [(0.0, *at)], "arrived": False} for at in mission.starts]
     positions, paths, blocked, now, moved = list(mission.starts), [[at] for at in mission.starts], [], 0.0, 0.0

@@ -1,4 +1,4 @@
-"""Photo-real pictures of the laboratory's scenes, with Mitsuba 3 (extra ``render``), and the manifest that vouches for them.
+"""Photo-real pictures of the laboratory's scenes, with Mitsuba 3 (extra ``render``).
 
 Only needed to make ``data/lab`` again or to render a scene of one's own; truth and silhouettes come without it.
 """
@@ -151,9 +151,9 @@ class Studio:
             for k, size in enumerate([(0.16, 0.02, 0.001), (0.02, 0.16, 0.0012)]):
                 tape = Part("box", (x, y, 0.0), size, (20, 40, 120))
                 world[f"mark{i}{k}"] = self._mesh(f"m{i}{k}", "box", tape.matrix, self._matte(tape.colour))
-        for thing in self.scene.objects:
-            for i, (part, matrix) in enumerate(zip(thing.parts, thing.matrices(0), strict=True)):
-                key = f"{thing.id}{i}"
+        for each in self.scene.objects:
+            for i, (part, matrix) in enumerate(zip(each.parts, each.matrices(0), strict=True)):
+                key = f"{each.id}{i}"
                 world[key] = self._mesh(key, part.shape, matrix, self._matte(part.colour))
         if self.scene.boards or self.scene.floor_board:
             world["board"] = self._board()
@@ -208,11 +208,11 @@ class Studio:
 
     def place(self, frame: int | None, board: Board | None = None) -> None:
         """Move the objects to where they are at a frame; ``None`` empties the room."""
-        for thing in self.scene.objects:
-            for i, (part, matrix) in enumerate(zip(thing.parts, thing.matrices(frame or 0), strict=True)):
+        for each in self.scene.objects:
+            for i, (part, matrix) in enumerate(zip(each.parts, each.matrices(frame or 0), strict=True)):
                 # An empty room keeps its meshes, under the floor, so that the compiled kernel is reused.
                 matrix = shift(matrix, -50.0) if frame is None else matrix
-                key = f"{thing.id}{i}.vertex_positions"
+                key = f"{each.id}{i}.vertex_positions"
                 self.parameters[key] = _world_vertices(unit_mesh(part.shape)[0], matrix)
         if "board.vertex_positions" in self.parameters:
             self.parameters["board.vertex_positions"] = self._board_vertices(board)
@@ -286,11 +286,11 @@ class Studio:
             self._floor[name] = floor
         centre, floor = camera.centre_m, self._floor[name]
         pixels = np.zeros((height, width), bool)
-        for thing in self.scene.objects:
-            x, y, _ = thing.pose(frame)
-            radius = np.hypot(*(thing.footprint(frame) - [x, y]).T).max() + 0.7 * thing.height + 0.2
+        for each in self.scene.objects:
+            x, y, _ = each.pose(frame)
+            radius = np.hypot(*(each.footprint(frame) - [x, y]).T).max() + 0.7 * each.height + 0.2
             pixels |= (rays[..., 2] < 0) & (np.hypot(floor[..., 0] - x, floor[..., 1] - y) < radius)
-            depth, window = depth_image(self.scene, camera, thing, frame)
+            depth, window = depth_image(self.scene, camera, each, frame)
             pixels[window] |= np.isfinite(depth)
         spare = 25
         if board is not None:

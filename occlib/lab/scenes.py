@@ -1,8 +1,8 @@
 """Rendered laboratory scenes with exact ground truth.
 
-A scene is two readable YAML files: ``room.yaml`` (room, light, cameras) and ``scene.yaml`` (objects and
-their paths). From these alone, with numpy, come the *truth* (positions, footprints, hidden fractions) and
-the ideal silhouettes; :mod:`occlib.lab.rendering` makes the pictures with Mitsuba 3. Both cast their rays through the same
+A scene is two readable YAML files: ``room.yaml`` (room, light, cameras) and ``scene.yaml`` (objects and their paths).
+From these alone, with numpy, come the *truth* (positions, footprints, hidden fractions) and the ideal silhouettes;
+:mod:`occlib.lab.rendering` makes the pictures with Mitsuba 3. Both cast their rays through the same
 :class:`~occlib.geometry.Camera`, lens distortion included, so pictures, truth and ``rig.yaml`` agree.
 
 Every shape is a unit box, ellipsoid or cylinder under an affine map, which makes a ray test one inverse
@@ -78,22 +78,20 @@ class SceneObject:
         world[:2, 3] = x, y
         return [world @ part.matrix for part in self.parts]
 
+    def vertices_m(self, frame: float) -> FloatArray:
+        """Vertices of all its parts in the world, (N, 3) in m."""
+        parts = zip(self.parts, self.matrices(frame), strict=True)
+        return np.vstack([unit_mesh(part.shape)[0] @ m[:3, :3].T + m[:3, 3] for part, m in parts])
+
     def footprint(self, frame: float) -> FloatArray:
         """Vertical projection: convex polygon (N, 2) in m, anticlockwise."""
-        corners = [
-            unit_mesh(p.shape)[0] @ m[:3, :3].T + m[:3, 3]
-            for p, m in zip(self.parts, self.matrices(frame), strict=True)
-        ]
-        points = np.vstack(corners)[:, :2]
+        points = self.vertices_m(frame)[:, :2]
         return np.asarray(points[ConvexHull(points).vertices])
 
     @property
     def height(self) -> float:
         """Highest point in m."""
-        return max(
-            float((unit_mesh(p.shape)[0] @ m[:3, :3].T + m[:3, 3])[:, 2].max())
-            for p, m in zip(self.parts, self.matrices(0), strict=True)
-        )
+        return float(self.vertices_m(0)[:, 2].max())
 
 
 @dataclass(frozen=True)

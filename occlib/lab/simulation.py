@@ -1,11 +1,7 @@
-"""Crowds of upright objects under one to eight wall cameras, with perfect silhouettes: what a fusion rule can do at best.
+"""What a fusion rule makes of perfect silhouettes: crowds of upright objects under one to eight wall cameras.
 
-No picture, no noise, no shadow of a lamp: rays are cast against exact shapes (:mod:`occlib.lab`), so whatever
-goes wrong on the floor is the geometry's or the rule's doing. Views may be made to *miss* objects on purpose.
-
-Ghosts are predicted, too. A camera at height ``H`` sees an object of height ``h`` as a shadow on the floor that
-starts at its base and points away from the camera. Where the shadow of one object from one camera crosses the shadow of
-another object from another camera, away from both bases, AND claims something and nothing stands.
+There is no picture and no noise: rays are cast against exact shapes, so whatever goes wrong on the floor is due to the
+geometry or to the rule. Views may be made to *miss* objects on purpose.
 """
 
 from __future__ import annotations
@@ -38,7 +34,7 @@ PLANES_M = (0.0, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3)
 
 
 EXPLAIN = ("explain", "explain, one spare")
-"""Rules that are no vote on cells: :class:`occlib.explaining.Explainer`, the second with one view that may miss an object."""
+"""Rules that search for objects instead of voting on cells; in the second, one view may miss an object."""
 
 
 @dataclass(frozen=True)
@@ -91,8 +87,8 @@ class Simulation:
         seen = {}
         for name, camera in self.rig.cameras.items():
             seen[name] = np.zeros((len(crowd), *camera.size[::-1]), bool)
-            for mask, thing in zip(seen[name], crowd, strict=True):
-                depth, window = depth_image(self._scene, camera, thing, 0)
+            for mask, each in zip(seen[name], crowd, strict=True):
+                depth, window = depth_image(self._scene, camera, each, 0)
                 mask[window] = np.isfinite(depth)
         return seen
 
@@ -108,7 +104,10 @@ class Simulation:
         return {name: self._warps[name].warp(mask) for name, mask in masks.items()}
 
     def occupied(self, masks: Mapping[str, Mask], rule: str = "and") -> Mask:
-        """The map of a rule of :func:`occlib.occlusion.fuse`, bool (ny, nx); two cameras (if there are two) must see a cell."""
+        """The map of a rule of :func:`occlib.occlusion.fuse`, bool (ny, nx).
+
+        Where the rig has two cameras or more, at least two must see a cell.
+        """
         checks.choice("rule", rule, RULES)
         visible: list[Mask] = [self._warps[name].visible for name in masks]
         if RULES[rule].planes:
@@ -124,7 +123,7 @@ class Simulation:
         return np.asarray(fused & (np.sum(visible, axis=0) >= min(2, len(masks))), dtype=bool)
 
     def places(self, masks: Mapping[str, Mask], rule: str = "and") -> FloatArray:
-        """Where a rule puts objects, (N, 2) in m: centroids of its regions, or the axes of ``"explain"``'s cylinders."""
+        """Where a rule puts objects, (N, 2) in m: centroids of its regions, or axes of the explaining cylinders."""
         if rule in EXPLAIN:
             return as_points([(c.x, c.y) for c in self._explainers[rule].explain(evidence_of(masks))])
         floor = self.rig.floor
@@ -143,16 +142,16 @@ class Simulation:
         return float(np.median(times))
 
 
-def measured_smear_m(simulation: Simulation, thing: SceneObject) -> float:
-    """How far the shadow of an upright cylinder reaches beyond it in m, read off the floor map of the rig's only camera."""
+def measured_smear_m(simulation: Simulation, scene_object: SceneObject) -> float:
+    """How far in m a cylinder's shadow reaches beyond it, read off the floor map of the rig's only camera."""
     ((name, camera),) = simulation.rig.cameras.items()
-    floor, shadow = simulation.rig.floor, simulation.on_floor(simulation.masks([thing]))[name]
-    axis = places_m([thing])[0] - camera.centre_m[:2]
+    floor, shadow = simulation.rig.floor, simulation.on_floor(simulation.masks([scene_object]))[name]
+    axis = places_m([scene_object])[0] - camera.centre_m[:2]
     distance = float(np.linalg.norm(axis))
     offset = floor.cell_centres_m()[shadow.ravel()] - camera.centre_m[:2]
     along, across = offset @ axis / distance, (offset[:, 0] * axis[1] - offset[:, 1] * axis[0]) / distance
     reach = along[np.abs(across) <= floor.resolution].max() + floor.resolution / 2
-    return float(reach - distance - thing.parts[0].size[0] / 2)
+    return float(reach - distance - scene_object.parts[0].size[0] / 2)
 
 
 def score(
@@ -191,13 +190,13 @@ def score(
 
 
 def two_view_study(rig: Rig, crowds: Sequence[Sequence[SceneObject]]) -> dict[str, float]:
-    """Ghosts a frame of the AND of two cameras, by the law, predicted and measured, beside its scores; means over the crowds."""
+    """Ghosts a frame of the AND of two cameras: by the law, predicted, measured; and its scores. Means over crowds."""
     simulation, floor = Simulation(rig), rig.floor
     masks = [simulation.masks(crowd) for crowd in crowds]
     maps = [simulation.occupied(views) for views in masks]
     pairs = list(zip(maps, crowds, strict=True))
-    tall = float(np.mean([thing.height for crowd in crowds for thing in crowd]))
-    ratios = [claimed_area_ratio(one, floor, [thing.footprint(0) for thing in crowd]) for one, crowd in pairs]
+    tall = float(np.mean([each.height for crowd in crowds for each in crowd]))
+    ratios = [claimed_area_ratio(one, floor, [each.footprint(0) for each in crowd]) for one, crowd in pairs]
     return {
         "law": expected_crossings(rig, len(crowds[0]), tall),
         "predicted": float(np.mean([len(crossings(rig, crowd)) for crowd in crowds])),
@@ -213,7 +212,7 @@ def covered_share(
     """Share of the objects of which a rule's map covers at least half the base."""
     floor = simulation.rig.floor
     covered = [
-        footprint_coverage(simulation.occupied(views, rule), floor, [thing.footprint(0) for thing in crowd]) >= 0.5
+        footprint_coverage(simulation.occupied(views, rule), floor, [each.footprint(0) for each in crowd]) >= 0.5
         for views, crowd in zip(masks, crowds, strict=True)
     ]
     return float(np.mean(np.concatenate(covered)))
@@ -225,12 +224,12 @@ def evidence_of(masks: Mapping[str, Mask]) -> dict[str, Evidence]:
 
 
 def union(silhouettes: Mapping[str, Mask], kept: Mapping[str, Mask] | None = None) -> dict[str, Mask]:
-    """Silhouettes ``{camera: bool (n, H, W)}`` to one mask a camera, without those not ``kept`` ``{camera: bool (n,)}``."""
+    """One mask a camera of silhouettes ``{camera: bool (n, H, W)}``; of those ``kept`` alone, ``{camera: bool (n,)}``."""
     return {n: np.any(one if kept is None else one[kept[n]], axis=0) for n, one in silhouettes.items()}
 
 
 def misses(cameras: Iterable[str], count: int, recall: float, rng: np.random.Generator) -> dict[str, Mask]:
-    """Which of ``count`` objects each camera segments: each independently with probability ``recall``, ``{camera: bool (n,)}``.
+    """Which of ``count`` objects each camera segments, each with probability ``recall``, ``{camera: bool (n,)}``.
 
     >>> {name: kept.all() for name, kept in misses(["left"], 3, 1.0, np.random.default_rng(0)).items()}
     {'left': np.True_}

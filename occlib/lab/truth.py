@@ -1,4 +1,8 @@
-"""DOC"""
+"""What is true of a scene, by casting rays: depth, exact silhouettes, and the content of its truth file.
+
+Rays go through the centres of the pixels of the same :class:`~occlib.geometry.Camera` that the pictures are rendered
+with, lens distortion included.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""DOC"""
+"""Drawings that only notebooks need: lamps and shadows, the room and its cameras, strips of frames, mask errors."""
 
 from __future__ import annotations
 
@@ -28,8 +28,7 @@ from occlib.plotting import (
 if TYPE_CHECKING:
     import pandas as pd
 
-    from occlib.explaining.cylinders import Cylinder
-    from occlib.explaining.evidence import PolarWarp
+    from occlib.explaining import Cylinder, PolarWarp
     from occlib.formats import TrueObject, Truth
     from occlib.pipeline import FrameResult
 
@@ -68,13 +67,13 @@ def fill_hull(ax: Axes, points: npt.ArrayLike, **options: Any) -> FloatArray:
     return corners
 
 
-def outline_cylinders(ax: Axes, warp: PolarWarp, things: Sequence[Cylinder], **options: Any) -> None:
+def outline_cylinders(ax: Axes, warp: PolarWarp, cylinders: Sequence[Cylinder], **options: Any) -> None:
     """Outline of each upright cylinder, with its number, in a camera's polar view."""
     from occlib.explaining import silhouette
 
     rows, columns = warp.shape
-    for number, thing in enumerate(things, start=1):
-        first, top, bottom = silhouette(warp.parameters, columns, rows, thing)
+    for number, cylinder in enumerate(cylinders, start=1):
+        first, top, bottom = silhouette(warp.parameters, columns, rows, cylinder)
         if len(top):
             x = np.arange(first, first + len(top))
             outline = np.column_stack([np.concatenate([x, x[::-1], x[:1]]), [*top, *bottom[::-1], top[0]]])
@@ -86,10 +85,10 @@ def outline_cylinders(ax: Axes, warp: PolarWarp, things: Sequence[Cylinder], **o
 def lamps_and_shadows(
     ax: Axes,
     lamps: Mapping[str, tuple[float, float]],
-    things: Mapping[str, tuple[float, float, float]],
+    objects: Mapping[str, tuple[float, float, float]],
     reach: tuple[float, float],
 ) -> None:
-    """Cameras as lamps, in section: upright things, the shadow each lamp casts behind them, and the umbra of all.
+    """Cameras as lamps, in section: upright objects, the shadow each lamp casts behind them, and the umbra of all.
 
     Parameters
     ----------
@@ -97,8 +96,8 @@ def lamps_and_shadows(
         Where to draw; x along the floor and height, both in m.
     lamps
         Position ``(x, z)`` of each camera in m.
-    things
-        For each thing ``(x_min, x_max, height)`` in m; the first one is drawn with its rays.
+    objects
+        For each object ``(x_min, x_max, height)`` in m; the first one is drawn with its rays.
     reach
         Floor ``(x_min, x_max)`` in m.
     """
@@ -108,7 +107,7 @@ def lamps_and_shadows(
     ax.plot(reach, (0, 0), color="0.3", linewidth=1)
     for row, (name, (x, z)) in enumerate(lamps.items()):
         shadow = np.zeros(cells.shape, bool)
-        for i, (low, high, height) in enumerate(things.values()):
+        for i, (low, high, height) in enumerate(objects.values()):
             ends = [x + (corner - x) * scale for corner in (low, high) for scale in (1.0, z / (z - height))]
             shadow |= (cells >= min(ends)) & (cells <= max(ends))
             if i == 0:
@@ -121,7 +120,7 @@ def lamps_and_shadows(
         _strip(ax, cells, shadow, row, f"{name} says occupied", colours[name])
         umbra &= shadow
     _strip(ax, cells, umbra, len(lamps), "both say occupied", "0.1")
-    for name, (low, high, height) in things.items():
+    for name, (low, high, height) in objects.items():
         ax.fill([low, high, high, low], [0, 0, height, height], color="0.35")
         ax.annotate(name, ((low + high) / 2, height), xytext=(0, 4), textcoords="offset points", ha="center")
     ax.set(xlabel="x (m)", ylabel="height (m)", aspect="equal", yticks=[0, 1, 2])
@@ -284,7 +283,7 @@ def view_points_m(camera: Camera, room: npt.ArrayLike, *, steps: int = 24) -> np
 
 
 def rig_section(ax: Axes, rig: Rig, room: npt.ArrayLike, *, axes: str = "xy") -> None:
-    """The rig to scale, from above (``"xy"``) or from the side (``"xz"``): room, mapped floor and what each camera sees."""
+    """The rig to scale, from above (``"xy"``) or the side (``"xz"``): room, mapped floor, what each camera sees."""
     from scipy.spatial import ConvexHull
 
     i, j = ("xyz".index(letter) for letter in axes)
@@ -306,7 +305,7 @@ def rig_section(ax: Axes, rig: Rig, room: npt.ArrayLike, *, axes: str = "xy") ->
     ax.set(xlabel=f"{axes[0]} (m)", ylabel=f"{axes[1]} (m)", aspect="equal")
 
 
-def rig_in_3d(ax: Any, rig: Rig, room: npt.ArrayLike, things: Mapping[str, npt.ArrayLike]) -> None:
+def rig_in_3d(ax: Any, rig: Rig, room: npt.ArrayLike, objects: Mapping[str, npt.ArrayLike]) -> None:
     """The vision system as a drawing: room, mapped floor, cameras, a computer on a wall, and what it talks to.
 
     Parameters
@@ -315,8 +314,8 @@ def rig_in_3d(ax: Any, rig: Rig, room: npt.ArrayLike, things: Mapping[str, npt.A
         A 3-D axes made with ``projection="3d", computed_zorder=False``, in m.
     rig, room
         As for :func:`rig_section`.
-    things
-        For each thing ``(x, y, width, depth, height)`` in m: a box that hears the computer's broadcast.
+    objects
+        For each object ``(x, y, width, depth, height)`` in m: a box that hears the computer's broadcast.
     """
     box, colours = np.asarray(room, dtype=float), camera_colours(list(rig.cameras))
     (x0, x1), (y0, y1), (_, top) = box
@@ -337,7 +336,7 @@ def rig_in_3d(ax: Any, rig: Rig, room: npt.ArrayLike, things: Mapping[str, npt.A
         ax.text(*centre[:2], centre[2] + 0.3, f"{name} camera", color=colour, ha="center")
     ax.bar3d(computer[0] - 0.35, y1 - 0.15, 1.05, 0.7, 0.15, 0.5, color="0.3", shade=False)
     ax.text(*computer, "CPU", color="white", ha="center", va="center", fontsize=8)
-    for name, size in things.items():
+    for name, size in objects.items():
         x, y, width, depth, height = np.asarray(size, dtype=float)
         ax.bar3d(x - width / 2, y - depth / 2, 0, width, depth, height, color=TRUTH_COLOUR, shade=True)
         ax.text(x, y - depth / 2, -0.35, name, ha="center")
@@ -357,8 +356,8 @@ def vector_life(axes: Sequence[Axes], life: pd.DataFrame, shares: Mapping[str, s
     axes
         Two.
     life
-        A row for each frame and way of looking: ``time`` in s, ``way``, ``state`` (``"seen"`` or ``"coasting"``), ``sd (cm)``, and for each
-        camera the share of the object that it sees. The first way's shares are shown.
+        A row for each frame and way of looking: ``time`` in s, ``way``, ``state`` (``"seen"`` or ``"coasting"``), ``sd
+        (cm)``, and for each camera the share of the object that it sees. The first way's shares are shown.
     shares
         ``{camera: colour}``.
     """

@@ -1,4 +1,10 @@
-"""DOC"""
+"""What a notebook calls to keep its results::
+
+from occlib import reproduce
+
+reproduce.save(fig, "fig07_contour")                                   # a figure
+reproduce.record("centroid_error", 0.012, unit="m", tolerance=0.002)   # a number that a text quotes
+"""
 
 from __future__ import annotations
 
@@ -16,8 +22,7 @@ import numpy as np
 import occlib
 from occlib.base.files import load_json, write_file
 from occlib.recordings import Recording, open_recording
-from occlib.reproduce.publish import COLUMNS
-from occlib.reproduce.runner import find_root
+from occlib.reproduce.runner import COLUMNS, find_root
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -35,7 +40,7 @@ def save(fig: Figure, name: str, *, dpi: float = 120) -> None:
     if by_runner and target.exists():
         raise ValueError(f"save: figure {name!r} was saved before in this notebook")
     stream = io.BytesIO()
-    metadata = {"Software": None, "Source": folder.name}  # Source: whose figure it is, see _publish
+    metadata = {"Software": None, "Source": folder.name}  # Source: whose figure it is, see publish.py
     fig.savefig(stream, format="png", dpi=dpi, bbox_inches="tight", metadata=metadata)
     write_file(target, stream.getvalue())
 

@@ -1,27 +1,13 @@
-"""Notebooks run with parameters: metrics and figures, published only when every notebook succeeded.
+"""``occlib reproduce``: run the notebooks, then publish their figures and metrics in ``figures/``, or check them.
 
-In a notebook::
-
-    from occlib.reproduce import record, save, show_versions
-
-    save(fig, "fig07_contour")                              # a figure
-    record("centroid_error", 0.012, unit="m", tolerance=0.002)   # a number that a text quotes
-
-:func:`reproduce` is behind ``occlib reproduce``. Each notebook runs in a process of its own, in an empty scratch
-folder, one thread, without the user's Jupyter or matplotlib settings. Its executed copy, figures, metrics and
-manifest go to ``runs/<notebook>/``. ``figures/`` changes after the last notebook succeeded, never before.
+``figures/`` changes after the last notebook succeeded, never before, and only where a result does not agree with what
+is there (:mod:`occlib.reproduce.agreement`): a second machine leaves no trace in git.
 """
 
 from __future__ import annotations
 
 import csv
-import hashlib
-import importlib.metadata
 import io
-import json
-import os
-import platform
-import tempfile
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
@@ -29,34 +15,22 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import cv2
-
-import occlib
-from occlib.base.extras import check_extra
-from occlib.base.files import file_hash, folder_hash, load_json, write_file
-from occlib.base.interrupts import uninterrupted
-from occlib.recordings import cache_folder, public_recordings
+from occlib.base.files import staged_folder, write_file
+from occlib.reproduce.agreement import figure_agrees, metric_agrees, row_stays
 from occlib.reproduce.runner import (
-    PACKAGE,
+    COLUMNS,
     Metrics,
     Run,
-    check_copy,
     execute,
     find_root,
-    notebook_parameters,
+    is_current,
     order,
-    override,
+    plan_runs,
     select_notebooks,
 )
 
 if TYPE_CHECKING:
     import pandas as pd
-
-
-COLUMNS = ("notebook", "metric", "value", "unit", "tolerance")
-
-
-_LIBRARIES = ("numpy", "scipy", "scikit-image", "matplotlib", "pandas", "ipykernel", "papermill")
 
 
 @dataclass(frozen=True)
@@ -91,6 +65,9 @@ def reproduce(
 ) -> Report:
     """Run notebooks whose inputs changed since their last run, then publish or check their results.
 
+    Metrics that agree with ``figures/metrics.csv`` within their tolerance, and figures that look the same, stay as they
+    are.
+
     Parameters
     ----------
     notebooks
@@ -120,12 +97,12 @@ def reproduce(
     home = Path(root or find_root()).resolve()
     if jobs < 1:
         raise ValueError(f"jobs: expected a whole number >= 1, got {jobs}")
-    runs = _plan(home, notebooks, {**(parameters or {}), **({"fast": True} if fast else {})})
+    runs = plan_runs(home, notebooks, {**(parameters or {}), **({"fast": True} if fast else {})})
     default = not any(run.overrides for run in runs)
     if check and not default:
         raise ValueError("check: the committed metrics are those of the default parameters; drop --fast and -p")
     for run in runs:
-        run.skipped = not force and _is_current(run)
+        run.skipped = not force and is_current(run)
     started = time.monotonic()
     execute([run for run in runs if not run.skipped], jobs, home, progress)
     skipped = sum(run.skipped for run in runs)
@@ -142,46 +119,6 @@ def reproduce(
         kept = ", ".join(str(run.folder.relative_to(home)) for run in runs)
         lines.append(f"not the default parameters: results stay in {kept}, figures/ is as it was")
     return Report(tuple(runs), tuple(lines), tuple(problems))
-
-
-def notebook_results(name: str | Path, **options: Any) -> dict[str, float]:
-    """Metrics of one notebook by name, run if need be; ``options`` as in :func:`reproduce`."""
-    table = reproduce([name], progress=False, **options).metrics()
-    return dict(zip(table["metric"], table["value"], strict=True))
-
-
-def _plan(home: Path, notebooks: Iterable[str | Path] | None, given: Mapping[str, Any]) -> list[Run]:
-    check_extra("papermill", "notebooks")
-    check_copy(home)
-    versions = {"occlib": occlib.__version__, "cv2": cv2.__version__, "python": platform.python_version()}
-    versions |= {library: importlib.metadata.version(library) for library in _LIBRARIES}
-    versions |= {"platform": f"{platform.system()} {platform.machine()}"}
-    shared = {"versions": versions, "occlib_sha256": folder_hash(PACKAGE)}
-    fetched = [name for name in public_recordings() if (cache_folder() / name).is_dir()]
-    shared |= {"data_sha256": folder_hash(home / "data"), "fetched": fetched}
-    runs = []
-    for path in select_notebooks(notebooks, home):
-        defaults = notebook_parameters(path)
-        values = override(path.stem, defaults, given)
-        overrides = {name: value for name, value in values.items() if value != defaults[name]}
-        chosen = {**defaults, **overrides}
-        mark = hashlib.sha256(json.dumps(chosen, sort_keys=True).encode()).hexdigest()[:8]
-        suffix = "" if not overrides else "__fast" if list(overrides) == ["fast"] else f"__{mark}"
-        source = path.read_bytes()
-        inputs = {"parameters": chosen, "notebook_sha256": hashlib.sha256(source).hexdigest(), **shared}
-        runs.append(Run(path.stem, source, overrides, inputs, home / "runs" / f"{path.stem}{suffix}"))
-    return runs
-
-
-def _is_current(run: Run) -> bool:
-    """Whether the folder holds the complete results of exactly these inputs; then they are loaded."""
-    with suppress(ValueError, TypeError, KeyError, AttributeError):
-        manifest = load_json(run.folder / "manifest.json")
-        files = manifest["files"].items()
-        if manifest["inputs"] == run.inputs and all(file_hash(run.folder / name) == value for name, value in files):
-            run.manifest = manifest
-            return True
-    return False
 
 
 def _published_figures(home: Path) -> dict[str, str]:
@@ -230,54 +167,55 @@ def _figures(home: Path, runs: Sequence[Run]) -> tuple[dict[str, Path], list[str
 
 
 def _publish(home: Path, runs: Sequence[Run]) -> list[str]:
-    """Bring ``figures/`` up to date and return what changed: first everything is written aside, then renamed."""
+    """Bring ``figures/`` up to date, all or nothing, and return what changed; what agrees is left as it is."""
     made, stale = _figures(home, runs)
+    figures, owners = home / "figures", _published_figures(home)
+    changed = {}
+    for name, path in made.items():
+        content, published = path.read_bytes(), figures / name
+        if published.is_file() and published.read_bytes() == content:
+            continue
+        same_owner = owners.get(name) == path.parent.name  # a run's folder has its notebook's name
+        if not (same_owner and figure_agrees(path, published)):
+            changed[name] = content
+    table, published = _table(home, runs).encode(), figures / "metrics.csv"
+    if not published.is_file() or published.read_bytes() != table:
+        changed["metrics.csv"] = table
+    if changed or stale:
+        with staged_folder(figures, remove=stale) as stage:
+            for name, content in changed.items():
+                write_file(stage / name, content)
+    return [*changed, *(f"{name} (removed)" for name in stale)]
+
+
+def _table(home: Path, runs: Sequence[Run]) -> str:
+    """``metrics.csv`` as it should be: other notebooks' rows as they are, and of ``runs`` those that agree, too."""
+    published = {order(row): row for row in _published_metrics(home)}
     others = {path.stem for path in select_notebooks(None, home)} - {run.notebook for run in runs}
-    rows = [row for row in _published_metrics(home) if row["notebook"] in others]
+    rows = [row for row in published.values() if row["notebook"] in others]
+    for row in (row for run in runs for row in run.metrics):
+        old = published.get(order(row))
+        rows.append(old if old and row_stays(row, old) else row)
     stream = io.StringIO()
     table = csv.DictWriter(stream, COLUMNS, lineterminator="\n")
     table.writeheader()
-    table.writerows(sorted(rows + [row for run in runs for row in run.metrics], key=order))
-    contents = {name: path.read_bytes() for name, path in made.items()}
-    contents["metrics.csv"] = stream.getvalue().encode()
-    figures = home / "figures"
-    changed = {
-        name: content
-        for name, content in contents.items()
-        if not (figures / name).is_file() or (figures / name).read_bytes() != content
-    }
-    if not changed and not stale:
-        return []
-    try:
-        figures.mkdir(exist_ok=True)
-        with tempfile.TemporaryDirectory(dir=figures, prefix=".publish-") as aside:
-            for name, content in changed.items():
-                write_file(Path(aside) / name, content)
-            if blocked := [name for name in changed if (figures / name).is_dir()]:
-                raise ValueError(f"{figures / blocked[0]}: cannot write (is a directory)")
-            with uninterrupted():
-                for name in changed:
-                    os.replace(Path(aside) / name, figures / name)
-                for name in stale:
-                    (figures / name).unlink()
-    except OSError as error:
-        raise ValueError(f"{figures}: cannot write ({error.strerror})") from None
-    return [*changed, *(f"{name} (removed)" for name in stale)]
+    table.writerows(sorted(rows, key=order))
+    return stream.getvalue()
 
 
 def _differences(home: Path, runs: Sequence[Run]) -> list[str]:
     """One line for each metric that is out of tolerance, new or missing, and each figure new or missing."""
     others = {path.stem for path in select_notebooks(None, home)} - {run.notebook for run in runs}
-    before = {order(row): row for row in _published_metrics(home) if row["notebook"] not in others}
-    after = {order(row): row for run in runs for row in run.metrics}
+    published = {order(row): row for row in _published_metrics(home) if row["notebook"] not in others}
+    fresh = {order(row): row for run in runs for row in run.metrics}
     lines = []
-    for key in sorted(before | after):
-        old, new, label = before.get(key), after.get(key), ": ".join(key)
+    for key in sorted(published | fresh):
+        old, new, label = published.get(key), fresh.get(key), ": ".join(key)
         if old is None or new is None:
             lines.append(f"{label}: {'new, not in metrics.csv' if old is None else 'missing, only in metrics.csv'}")
         elif old["unit"] != new["unit"]:
             lines.append(f"{label}: unit is {new['unit']!r}, metrics.csv says {old['unit']!r}")
-        elif abs(float(new["value"]) - float(old["value"])) > float(old["tolerance"]) * (1 + 1e-9):
+        elif not metric_agrees(new, old):
             lines.append(
                 f"{label}: {new['value']}, metrics.csv says {old['value']} +- {old['tolerance']} {old['unit']}"
             )

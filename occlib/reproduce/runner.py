@@ -1,14 +1,16 @@
-"""Notebooks: which there are, their parameters, one process for each, and copies for students.
+"""Which notebooks there are, with which parameters, whether their results are current, and one process for each.
 
-Each notebook runs in an empty scratch folder, one thread, without the user's Jupyter or matplotlib settings, and with
-the Python that runs this.
+A notebook runs in an empty scratch folder, one thread, without the user's Jupyter or matplotlib settings, and with the
+Python that runs this. Its executed copy, figures, metrics and manifest go to ``runs/<notebook>/``.
 """
 
 from __future__ import annotations
 
 import ast
+import importlib.metadata
 import json
 import os
+import platform
 import shutil
 import subprocess
 import sys
@@ -20,21 +22,28 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from occlib.base.extras import import_extra
-from occlib.base.files import file_hash, folder_hash, load_json, write_file
+import cv2
+
+import occlib
+from occlib.base.extras import check_extra, import_extra
+from occlib.base.files import file_hashes, folder_hash, load_json, sha256, write_file
 from occlib.base.interrupts import stoppable
-from occlib.recordings import LAB
+from occlib.recordings import LAB, cache_folder, public_recordings
 
 PACKAGE = Path(__file__).resolve().parents[1]
 
+_LIBRARIES = ("numpy", "scipy", "scikit-image", "matplotlib", "pandas", "ipykernel", "papermill")
+"""Whose versions a notebook's results depend on."""
 
 _ONE_THREAD = (
     *("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"),
     *("VECLIB_MAXIMUM_THREADS", "OPENCV_FOR_THREADS_NUM"),
 )
 
-
 Metrics = list[dict[str, str]]
+"""Rows of ``metrics.csv``, each with :data:`COLUMNS`, all values as text."""
+
+COLUMNS = ("notebook", "metric", "value", "unit", "tolerance")
 
 
 def find_root(start: str | Path | None = None) -> Path:
@@ -71,7 +80,7 @@ def select_notebooks(names: Iterable[str | Path] | None = None, root: str | Path
 
 def notebook_parameters(path: str | Path) -> dict[str, Any]:
     """Names and default values from the one cell tagged ``parameters``; empty without such a cell."""
-    cells = [cell for cell in _read_notebook(path)["cells"] if "parameters" in _tags(cell)]
+    cells = [cell for cell in read_notebook(path)["cells"] if "parameters" in tags(cell)]
     if len(cells) > 1:
         raise ValueError(f"{Path(path).stem}: expected one cell tagged 'parameters', got {len(cells)}")
     defaults: dict[str, Any] = {}
@@ -108,14 +117,14 @@ def override(notebook: str, defaults: Mapping[str, Any], given: Mapping[str, Any
     return checked
 
 
-def _read_notebook(path: str | Path) -> dict[str, Any]:
+def read_notebook(path: str | Path) -> dict[str, Any]:
     content = load_json(Path(path))
     if not isinstance(content, dict) or not isinstance(content.get("cells"), list):
         raise ValueError(f"{path}: not a notebook of format 4")
     return content
 
 
-def _tags(cell: Mapping[str, Any]) -> Sequence[str]:
+def tags(cell: Mapping[str, Any]) -> Sequence[str]:
     return cell.get("metadata", {}).get("tags", ())
 
 
@@ -140,6 +149,40 @@ class Run:
 def order(row: Mapping[str, str]) -> tuple[str, str]:
     """Sorting key of a row of ``metrics.csv``."""
     return row.get("notebook", ""), row["metric"]
+
+
+def plan_runs(home: Path, notebooks: Iterable[str | Path] | None, given: Mapping[str, Any]) -> list[Run]:
+    """The run of each notebook with the given parameters: its folder, and all that its results depend on."""
+    check_extra("papermill", "notebooks")
+    check_copy(home)
+    versions = {"occlib": occlib.__version__, "cv2": cv2.__version__, "python": platform.python_version()}
+    versions |= {library: importlib.metadata.version(library) for library in _LIBRARIES}
+    versions |= {"platform": f"{platform.system()} {platform.machine()}"}
+    shared = {"versions": versions, "occlib_sha256": folder_hash(PACKAGE)}
+    fetched = [name for name in public_recordings() if (cache_folder() / name).is_dir()]
+    shared |= {"data_sha256": folder_hash(home / "data"), "fetched": fetched}
+    runs = []
+    for path in select_notebooks(notebooks, home):
+        defaults = notebook_parameters(path)
+        values = override(path.stem, defaults, given)
+        overrides = {name: value for name, value in values.items() if value != defaults[name]}
+        chosen = {**defaults, **overrides}
+        mark = sha256(json.dumps(chosen, sort_keys=True))[:8]
+        suffix = "" if not overrides else "__fast" if list(overrides) == ["fast"] else f"__{mark}"
+        source = path.read_bytes()
+        inputs = {"parameters": chosen, "notebook_sha256": sha256(source), **shared}
+        runs.append(Run(path.stem, source, overrides, inputs, home / "runs" / f"{path.stem}{suffix}"))
+    return runs
+
+
+def is_current(run: Run) -> bool:
+    """Whether the folder holds the complete results of exactly these inputs; then they are loaded."""
+    with suppress(ValueError, TypeError, KeyError, AttributeError):
+        manifest = load_json(run.folder / "manifest.json")
+        if manifest["inputs"] == run.inputs and manifest["files"].items() <= file_hashes(run.folder).items():
+            run.manifest = manifest
+            return True
+    return False
 
 
 def execute(runs: Sequence[Run], jobs: int, home: Path, progress: bool) -> None:
@@ -220,7 +263,7 @@ def _failure(run: Run, work: Path, home: Path) -> str:
         log = (work / "log.txt").read_text(encoding="utf-8", errors="replace").strip()
         reason = f"stopped: {log.splitlines()[-1] if log else 'no message'}"
         if half.exists():  # a kernel that died says nothing: the first cell without a number was running
-            code = [cell for cell in _read_notebook(half)["cells"] if cell["cell_type"] == "code"]
+            code = [cell for cell in read_notebook(half)["cells"] if cell["cell_type"] == "code"]
             number = next((i for i, cell in enumerate(code, 1) if not cell.get("execution_count")), len(code))
             reason = f"cell {number} {reason}"
     if half.exists():
@@ -236,8 +279,8 @@ def _collect(run: Run, work: Path, seconds: float) -> None:
     metrics = sorted(load_json(recorded), key=order) if recorded.exists() else []
     recorded.unlink(missing_ok=True)  # the manifest has them
     shutil.move(work / f"{run.notebook}.ipynb", results)
-    files = {path.name: file_hash(path) for path in sorted(results.iterdir())}
-    run.manifest = {"inputs": run.inputs, "seconds": round(seconds, 1), "files": files, "metrics": metrics}
+    seconds = round(seconds, 1)
+    run.manifest = {"inputs": run.inputs, "seconds": seconds, "files": file_hashes(results), "metrics": metrics}
     try:
         shutil.rmtree(run.folder, ignore_errors=True)
         shutil.copytree(results, run.folder, dirs_exist_ok=True)

@@ -1,4 +1,4 @@
-"""DOC"""
+"""Copies of the notebooks for students: the exercises without their solutions."""
 
 from __future__ import annotations
 
@@ -6,17 +6,17 @@ import json
 from pathlib import Path
 
 from occlib.base.files import write_file
-from occlib.reproduce.runner import _read_notebook, _tags, select_notebooks
+from occlib.reproduce.runner import read_notebook, select_notebooks, tags
 
 
 def student_copy(notebook: str | Path, out: str | Path) -> Path:
     """Write a notebook without its solutions: each cell tagged ``solution`` becomes an empty one to fill in."""
-    content = _read_notebook(notebook)
+    content = read_notebook(notebook)
     stubs = {"code": "# Your solution here", "markdown": "*Your answer here.*"}
     for cell in content["cells"]:
         if cell["cell_type"] == "code":
             cell.update(outputs=[], execution_count=None)
-        if "solution" in _tags(cell):
+        if "solution" in tags(cell):
             cell.pop("attachments", None)
             cell["source"] = [stubs.get(cell["cell_type"], "")]
             cell["metadata"] = {"tags": ["exercise"]}

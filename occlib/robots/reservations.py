@@ -1,8 +1,8 @@
 """Where the other robots will be: trajectories, and whether discs that move along them stay apart.
 
-A *trajectory* is a list of ``(t, x, y)`` in s and m, straight and even in between; before its first point the robot stands
-there, and after its last it stands there for ever. That every trajectory ends in standing still is what keeps robots apart:
-each holds one that is clear of all the others', and takes a new one only if that is clear, too.
+A *trajectory* is a list of ``(t, x, y)`` in s and m, straight and even in between; before its first point the robot
+stands there, and after its last it stands there for ever. That every trajectory ends in standing still is what keeps
+robots apart: each holds one that is clear of all the others', and takes a new one only if that is clear, too.
 """
 
 from __future__ import annotations
@@ -70,8 +70,8 @@ class Reservations:
             Of its disc.
         intention
             What it would do if nobody of lower priority stood in its way. Given for robots of *higher* priority than
-            one's own, and only for them: it is kept free if that can be done, which is how robots that meet in a corridor
-            make way.
+            one's own, and only for them: it is kept free if that can be done, which is how robots that meet in a
+            corridor make way.
         """
         checks.number("radius_m", radius_m, above=0, unit="metres")
         self._held[name] = _trajectory(trajectory), None if intention is None else _trajectory(intention), radius_m

@@ -13,6 +13,7 @@ from occlib.explaining.appearance import _box, _likeness, axis_colours, colour_a
 from occlib.explaining.cylinders import Cylinder
 from occlib.geometry import Rig
 from occlib.identification import opaque_part, read_templates
+from occlib.lab import wall_rig
 
 
 def pictures(rig: Rig, **colours: tuple[int, int, int]) -> dict[str, Any]:
@@ -34,6 +35,12 @@ def test_views_of_one_colour_agree_and_others_are_as_far_apart_as_their_colours(
     other = pictures(tiny_rig, left=(50, 60, 70), right=(53, 64, 70))
     assert colour_agreement([[2.0, 1.5]], 0.3, same, tiny_rig).tolist() == [0]
     assert colour_agreement([[2.0, 1.5]], 0.3, other, tiny_rig).tolist() == [5]
+
+
+def test_of_several_views_the_two_that_differ_most_count() -> None:
+    rig, greys = wall_rig(3), (50, 53, 90)
+    images = {n: np.full((*rig[n].size[::-1], 3), grey, np.uint8) for n, grey in zip(rig.cameras, greys, strict=True)}
+    assert colour_agreement([[0.0, 0.0]], 0.3, images, rig) == pytest.approx([40 * np.sqrt(3)])
 
 
 def test_the_box_holds_the_cylinder_and_is_no_larger(tiny_rig: Rig) -> None:

@@ -33,11 +33,11 @@ def test_a_row_of_views_is_a_polar_view_by_name() -> None:
 
 def test_views_of_different_size_lie_side_by_side() -> None:
     view = watch().views[0]
-    small, large = np.ones((2, 4), bool), np.ones((3, 2), bool)
-    evidence = PolarEvidence.of([(view, np.full((2, 4), 7), small), (view, np.full((3, 2), -5), large)])
+    wide, tall = np.arange(8).reshape(2, 4) > 0, np.ones((3, 2), bool)
+    evidence = PolarEvidence.of([(view, 7 * wide, wide), (view, -5 * tall, tall)])
     assert evidence.sizes.tolist() == [[4, 2], [2, 3]]
-    assert evidence.weights.sum(axis=(1, 2)).tolist() == [56, -30]
-    assert not evidence.weights[~evidence.seen].any() and evidence.seen.sum(axis=(1, 2)).tolist() == [8, 6]
+    assert evidence.weights.sum(axis=(1, 2)).tolist() == [49, -30]
+    assert not evidence.weights[~evidence.seen].any() and evidence.seen.sum(axis=(1, 2)).tolist() == [7, 6]
 
 
 def test_wrong_evidence_is_named() -> None:

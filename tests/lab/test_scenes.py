@@ -215,6 +215,10 @@ BOX = {"shape": "box", "centre": [0, 0, 0], "size": [1, 1, 1]}
         ),
         ({"objects": [THING]}, r"objects\[0\]: expected parts, and a path whose frames increase"),
         ({"objects": [{**THING, "parts": [BOX]}] * 2}, "objects: expected different ids, got .'a', 'a'"),
+        (
+            {"objects": [{**THING, "parts": [BOX], "path": [{"frame": 4, "at": [0, 0]}, {"frame": 4, "at": [1, 0]}]}]},
+            r"objects\[0\]: expected parts, and a path whose frames increase, got frames \[4, 4\]",
+        ),
         ({"fps": 0}, "fps: expected a finite number > 0, got 0"),
         ({"vinyl": {"roughness": "none"}}, "room.yaml: vinyl.roughness: expected a finite number > 0, got 'none'"),
         ({"objects": [{**THING, "parts": [{**BOX, "shape": "cone"}]}]}, "expected one of box"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import importlib
 import json
 import re
 import shutil
@@ -14,8 +15,8 @@ import pandas as pd
 import pytest
 
 from occlib.reproduce.notebook import keep_table, open_or_stop
-from occlib.reproduce.publish import _plan, reproduce
-from occlib.reproduce.runner import notebook_parameters, select_notebooks
+from occlib.reproduce.publish import reproduce
+from occlib.reproduce.runner import notebook_parameters, plan_runs, select_notebooks
 
 ROOT = Path(__file__).resolve().parents[2]
 NOTEBOOKS = select_notebooks(root=ROOT)
@@ -58,6 +59,21 @@ def test_code_cells_are_short_and_define_nothing(notebook: Path) -> None:
             if isinstance(node, ast.FunctionDef | ast.ClassDef):  # a matcher of the reader's own is the exception
                 assert any("matching.matcher(" in ast.unparse(line) for line in node.decorator_list), cell["text"]
         assert not re.search(r"(^|[\"'(\s])(/work|/home|/tmp|/root|[A-Z]:\\)", cell["text"]), cell["text"]
+
+
+def test_names_of_the_library_are_there(notebook: Path) -> None:
+    """A name that was moved or renamed is found here in a second, and not after minutes of running."""
+    tree = ast.parse("\n".join(cell["text"] for cell in cells(notebook, "code")))
+    rooms = {}
+    for line in (node for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)):
+        if (line.module or "").split(".")[0] == "occlib":
+            for name in line.names:
+                found = getattr(importlib.import_module(str(line.module)), name.name, None)
+                rooms[name.asname or name.name] = found or importlib.import_module(f"{line.module}.{name.name}")
+    used = {(node.value.id, node.attr) for node in ast.walk(tree)
+            if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name)}  # fmt: skip
+    missing = [f"{room}.{name}" for room, name in sorted(used) if room in rooms and not hasattr(rooms[room], name)]
+    assert missing == []
 
 
 def test_half_of_it_is_prose(notebook: Path) -> None:
@@ -145,9 +161,9 @@ def test_with_the_recording_it_scores_and_publishes_nothing_of_it(
 def test_a_run_is_not_current_once_the_recording_is_fetched(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     cache = tmp_path / "cache"
     monkeypatch.setenv("OCCLIB_CACHE", str(cache))
-    (before,) = (run.inputs for run in _plan(ROOT, [REAL], {}))
+    (before,) = (run.inputs for run in plan_runs(ROOT, [REAL], {}))
     (cache / "ufes-lab").mkdir(parents=True)
-    (after,) = (run.inputs for run in _plan(ROOT, [REAL], {}))
+    (after,) = (run.inputs for run in plan_runs(ROOT, [REAL], {}))
     assert before["fetched"] == [] and after["fetched"] == ["ufes-lab"]
 
 

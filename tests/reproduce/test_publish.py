@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import io
 import json
 import os
 import shutil
@@ -11,20 +12,24 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from itertools import combinations
 from pathlib import Path
+from typing import Any
 
 import matplotlib.figure
 import nbformat
 import numpy as np
 import psutil
 import pytest
-from PIL import Image
+from PIL import Image, PngImagePlugin
 
 from occlib.base import files
+from occlib.plotting import figure_png
+from occlib.reproduce import agreement, publish, runner
 from occlib.reproduce import notebook as notebook_module
-from occlib.reproduce import publish, runner
+from occlib.reproduce.agreement import row_stays
 from occlib.reproduce.notebook import record, save
-from occlib.reproduce.publish import notebook_results, reproduce
+from occlib.reproduce.publish import reproduce
 from occlib.reproduce.students import student_copies, student_copy
 
 pytestmark = pytest.mark.slow
@@ -60,7 +65,7 @@ def package_hash() -> Iterator[None]:
     """The same all along, whoever saves a module of the package while these tests run."""
     package, folder_hash = runner.PACKAGE, files.folder_hash
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(publish, "folder_hash", lambda folder: "0" if folder == package else folder_hash(folder))
+        patch.setattr(runner, "folder_hash", lambda folder: "0" if folder == package else folder_hash(folder))
         yield
 
 
@@ -122,8 +127,8 @@ def test_again_one_after_the_other_gives_the_same_bytes(copy: Path, finished: Pa
 
 @pytest.mark.parametrize("change", ["notebook", "output", "data", "package"])
 def test_what_changed_is_not_current(copy: Path, change: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    plan = publish._plan(copy, None, {})
-    assert all(publish._is_current(item) for item in plan)
+    plan = runner.plan_runs(copy, None, {})
+    assert all(runner.is_current(item) for item in plan)
     stale = {"01_draw", "02_count"}
     if change == "notebook":
         path, stale = copy / "notebooks/01_draw.ipynb", {"01_draw"}
@@ -137,9 +142,9 @@ def test_what_changed_is_not_current(copy: Path, change: str, monkeypatch: pytes
     else:
         (copy / "package").mkdir()
         (copy / "package/matching.py").write_text("")
-        monkeypatch.setattr(publish, "PACKAGE", copy / "package")
-    plan = publish._plan(copy, None, {})
-    assert {item.notebook for item in plan if not publish._is_current(item)} == stale
+        monkeypatch.setattr(runner, "PACKAGE", copy / "package")
+    plan = runner.plan_runs(copy, None, {})
+    assert {item.notebook for item in plan if not runner.is_current(item)} == stale
 
 
 def test_changed_notebook_runs_again_and_its_old_figure_goes(copy: Path) -> None:
@@ -181,7 +186,8 @@ def test_notebook_is_alone_with_one_thread(project: Path, monkeypatch: pytest.Mo
     content = json.loads(path.read_text())
     content["metadata"] = {}  # no kernelspec: papermill alone would refuse the parameters
     path.write_text(json.dumps(content))
-    results = notebook_results(path, root=project, parameters={"seed": "7", "scale": 2})
+    table = run(project, str(path), parameters={"seed": "7", "scale": 2}).metrics()
+    results = dict(zip(table["metric"], table["value"], strict=True))
     assert results == {"interpreter": 1, "files": 0, "threads": 1, "width": 1.5, "seed": 7, "scale": 2}
     assert not (project / "figures").exists()
     assert [folder.name[:10] for folder in (project / "runs").iterdir()] == ["05_alone__"]
@@ -363,6 +369,108 @@ def test_results_folder_that_cannot_be_written(project: Path) -> None:
     with pytest.raises(ValueError, match=r"runs.01_x: cannot write") as caught:
         run(project)
     assert "\n" not in str(caught.value) and not (project / "figures").exists()
+
+
+# --- what agrees stays as it is committed
+
+
+def change_metric(project: Path, difference: float, column: int = 2) -> bytes:
+    """Change a column of the first published row as another machine would have it; the table's new bytes."""
+    path = project / "figures/metrics.csv"
+    rows = list(csv.reader(path.read_text().splitlines()))
+    rows[1][column] = f"{float(rows[1][column]) + difference:.10g}"
+    path.write_text("".join(",".join(row) + "\n" for row in rows))
+    return path.read_bytes()
+
+
+@pytest.mark.parametrize("difference", [1e-9, -0.0099])
+def test_metric_within_its_tolerance_stays(copy: Path, difference: float) -> None:
+    committed = change_metric(copy, difference)
+    assert "nothing changed" in str(run(copy))
+    assert (copy / "figures/metrics.csv").read_bytes() == committed
+
+
+@pytest.mark.parametrize(
+    ("difference", "column"), [(0.0101, 2), (-1.0, 2), (0.02, 4)], ids=["little", "much", "tolerance"]
+)
+def test_metric_out_of_its_tolerance_and_a_new_tolerance_are_published(
+    copy: Path, finished: Path, difference: float, column: int
+) -> None:
+    change_metric(copy, difference, column)
+    assert "figures/: metrics.csv changed" in str(run(copy))
+    assert (copy / "figures/metrics.csv").read_bytes() == (finished / "figures/metrics.csv").read_bytes()
+
+
+def test_default_tolerances_differ_in_the_last_digits_too() -> None:
+    row = {"notebook": "01_x", "metric": "a", "value": "1.026315789", "unit": "m", "tolerance": "1.026315789e-06"}
+    assert row_stays(row, row | {"value": "1.026315790", "tolerance": "1.026315790e-06"})
+    assert not row_stays(row, row | {"value": "1.026317"}) and not row_stays(row, row | {"unit": "cm"})
+    seconds = row | {"tolerance": "inf"}
+    assert row_stays(seconds | {"value": "3"}, seconds) and not row_stays(seconds, row)
+
+
+def repaint(project: Path, change: Callable[[Any], None], source: str = "01_draw") -> bytes:
+    """Replace a published figure by what another machine, or another drawing, might have made; its new bytes."""
+    path = project / "figures/fig01.png"
+    pixels = np.array(Image.open(path))
+    change(pixels)
+    information = PngImagePlugin.PngInfo()
+    information.add_text("Source", source)
+    information.add_text("Software", "another")
+    Image.fromarray(pixels).save(path, pnginfo=information, compress_level=1)
+    return path.read_bytes()
+
+
+def shade_an_edge(pixels: Any) -> None:
+    pixels[100:104, 100:150, :3] = np.clip(pixels[100:104, 100:150, :3].astype(int) - 16, 0, 255)
+
+
+def move_a_dot(pixels: Any) -> None:
+    pixels[100:102, 100:104, :3] = 0
+
+
+@pytest.mark.parametrize("change", [lambda pixels: None, shade_an_edge, move_a_dot], ids=["bytes", "shades", "a dot"])
+def test_figure_that_looks_the_same_stays(copy: Path, change: Callable[[Any], None]) -> None:
+    committed = repaint(copy, change)
+    assert "nothing changed" in str(run(copy))
+    assert (copy / "figures/fig01.png").read_bytes() == committed
+
+
+def another_digit(pixels: Any) -> None:
+    pixels[100:106, 100:105, :3] = 0  # 30 px
+
+
+def a_paler_panel(pixels: Any) -> None:
+    panel = pixels[:50, :100, :3]  # 2 % of the picture
+    panel[panel == 255] = 250
+
+
+@pytest.mark.parametrize("change", [another_digit, a_paler_panel], ids=["digit", "colour"])
+def test_figure_that_looks_different_is_published(copy: Path, finished: Path, change: Callable[[Any], None]) -> None:
+    repaint(copy, change)
+    assert "figures/: fig01.png changed" in str(run(copy))
+    assert contents(copy / "figures") == contents(finished / "figures")
+
+
+def test_figure_of_another_notebook_size_or_format_is_published(copy: Path, finished: Path) -> None:
+    repaint(copy, lambda pixels: None, source="00_gone")
+    assert "figures/: fig01.png changed" in str(run(copy))
+    Image.new("RGBA", (9, 9)).save(copy / "figures/fig01.png")
+    assert "figures/: fig01.png changed" in str(run(copy))
+    (copy / "figures/fig01.png").write_bytes(b"damaged")
+    assert "figures/: fig01.png changed" in str(run(copy))
+    assert contents(copy / "figures") == contents(finished / "figures")
+
+
+def test_smallest_digits_of_a_figure_differ_enough() -> None:
+    """The limit on stray pixels lies well below what another digit in a legend of 7 pt changes."""
+    pictures = []
+    for digit in range(10):
+        figure = matplotlib.figure.Figure(figsize=(1, 1))
+        figure.text(0.5, 0.5, f"{digit}0", fontsize=7)
+        pictures.append(np.array(Image.open(io.BytesIO(figure_png(figure, dpi=120))).convert("RGB")).astype(int))
+    differences = [np.abs(a - b).max(axis=2) for a, b in combinations(pictures, 2)]
+    assert min(np.count_nonzero(d > agreement.SHADE_LEVELS) for d in differences) > 2 * agreement.OTHER_PIXELS
 
 
 # --- check

@@ -16,8 +16,10 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from occlib.geometry import Floor
-from occlib.robots.navigation import Navigator, free_start, path_length_m, plan, plan_timed, shorten
+from occlib.robots.navigation import Navigator
+from occlib.robots.paths import free_start, path_length_m, plan, shorten
 from occlib.robots.reservations import Point, Reservations, Trajectory, position_at
+from occlib.robots.timed import plan_timed
 
 Array = np.ndarray[Any, Any]
 UNIT = Floor((10.0, 18.0), (-3.0, 3.0), 1.0)  # 6 x 8 cells whose metres are not their numbers
