@@ -237,7 +237,7 @@ def test_broken_yaml_and_a_missing_scene_say_so(tmp_path):
     (tmp_path / "scene.yaml").write_text("frames: [1")
     with pytest.raises(ValueError, match="not valid YAML"):
         load_scene(tmp_path)
-    with pytest.raises(ValueError, match="cannot read"):
+    with pytest.raises(ValueError, match="no_such_scene: no such scene"):
         load_scene("no_such_scene")
 
 
