@@ -4,21 +4,13 @@ Khan & Choudhry (2009), stage by stage; what goes beyond the paper stands in win
 
 The chain
     pipeline        Fig 3: frames in, map and objects out
-<<<<<<< HEAD
-    settings        profiles by name: the settings of the stages together
+    finding         objects as regions of the fused evidence
+    identification  sections 3, 4: known objects in each view by SSD, and their actual size
+    settings        the stages' settings together; the profiles paper, and, recommended
     running         a recording run through the chain, its results on disk
 The paper's stages, none of which imports another
     calibration     section 2: a camera from pictures of a checkerboard (Figs 1, 2)
     floor_marks     section 2: where a camera sees the floor, from marks on it
-=======
-    settings        what each stage may be told; the profiles paper, and, recommended
-    finding         objects as regions of the fused evidence
-    identification  sections 3, 4: what a region is, by SSD in each view, and its actual size
-    running         a recording through the chain, results in files
-The paper's stages, none of which imports another
-    calibration     section 2: lens from pictures of a checkerboard (Fig 2)
-    floor_marks     section 2: where a camera hangs, from marks on the floor (Fig 1)
->>>>>>> reproduce
     foreground      sections 2, 4: background, difference, shadows (Figs 4-6); Otsu's and other thresholds in threshold
     matching        section 3: SSD and the other template measures in measures, places, thresholds (Eq 1, 2)
     localization    section 4: centroid, contour, actual size by look-up (Fig 7, Eq 3-5)
@@ -26,16 +18,6 @@ The paper's stages, none of which imports another
     occlusion       section 5: AND and the other fusion rules (Figs 8, 11)
     tracking        section 4: object vectors M{p, V, C}, identities and speeds
     mapping         section 5: the occupancy map; files of ROS map_server
-<<<<<<< HEAD
-What joins the stages
-    identification  sections 3, 4: known objects in each view by their templates, and how big they are (Fig 3)
-    finding         objects as regions of the fused evidence
-What they stand on
-    geometry        camera, floor, rig: conventions and units
-    lens            the lens model: to distort and undistort points
-    recordings      folders of pictures or videos, and the public ones that are fetched
-    formats         files of truth, objects and rig: typed, read and checked
-=======
 What the stages stand on
     geometry        camera, floor, rig: conventions and units
     lens            how a lens bends the picture: distort, undistort, where that is valid
@@ -43,7 +25,6 @@ What the stages stand on
     formats         rig, scene, truth, objects, messages, manifests: typed, read and checked
     base            files, arrays, interrupts, compiled loops, extras
 What looks at the results
->>>>>>> reproduce
     metrics         scores of objects and maps against the truth
     plotting        colours of the map and of the cameras, views, overviews
 Wings

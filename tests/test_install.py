@@ -75,11 +75,7 @@ def test_an_import_waits_for_nothing_heavy(script: str, heavy: str) -> None:
 
 
 def test_the_map_of_the_house_names_every_room() -> None:
-<<<<<<< HEAD
     named = re.findall(r"^    ([a-z_]+) {2,}\S", str(occlib.__doc__), re.MULTILINE)
-=======
-    named = re.findall(r"^    (\w+) {2,}\S", str(occlib.__doc__), re.MULTILINE)
->>>>>>> reproduce
     rooms = [name.removeprefix("occlib.") for name in MODULES if name.count(".") == 1]
     assert sorted(named) == sorted(rooms)
 
