@@ -3,9 +3,14 @@
 Khan & Choudhry (2009), stage by stage; what goes beyond the paper stands in wings of its own.
 
 The chain
-    pipeline        Fig 3: frames in, map and objects out; profiles and settings
+    pipeline        Fig 3: frames in, map and objects out
+    finding         objects as regions of the fused evidence
+    identification  sections 3, 4: known objects in each view by SSD, and their actual size
+    settings        the stages' settings together; the profiles paper, and, recommended
+    running         a recording run through the chain, its results on disk
 The paper's stages, none of which imports another
-    calibration     section 2: lens and floor marks from pictures of a checkerboard (Figs 1, 2)
+    calibration     section 2: a camera from pictures of a checkerboard (Figs 1, 2)
+    floor_marks     section 2: where a camera sees the floor, from marks on it
     foreground      sections 2, 4: background, difference, shadows (Figs 4-6); Otsu's and other thresholds in threshold
     matching        section 3: SSD and the other template measures in measures, places, thresholds (Eq 1, 2)
     localization    section 4: centroid, contour, actual size by look-up (Fig 7, Eq 3-5)
@@ -14,13 +19,14 @@ The paper's stages, none of which imports another
     tracking        section 4: object vectors M{p, V, C}, identities and speeds
     mapping         section 5: the occupancy map; files of ROS map_server
 What the stages stand on
-    finding         objects as regions of the fused evidence
-    geometry        camera, lens model, floor, rig: conventions and units
+    geometry        camera, floor, rig: conventions and units
+    lens            how a lens bends the picture: distort, undistort, where that is valid
     recordings      folders of pictures or videos, and the public ones that are fetched
-    formats         truth files and files of objects: read and checked
+    formats         rig, scene, truth, objects, messages, manifests: typed, read and checked
+    base            files, arrays, interrupts, compiled loops, extras
+What looks at the results
     metrics         scores of objects and maps against the truth
     plotting        colours of the map and of the cameras, views, overviews
-    base            files, arrays, interrupts, compiled loops, extras
 Wings
     explaining      beyond AND: the fewest upright objects that explain all silhouettes
     live            live cameras; broadcast to robots, late joiners too; messages; bags and topic of ROS
@@ -51,7 +57,8 @@ _NAMES = {
     "recordings": ["open_recording"],
     "metrics": ["evaluate"],
 }
-_ROOMS = ["localization", "registration", "tracking", "finding", "formats", "plotting", "base"]
+_ROOMS = ["settings", "running", "floor_marks", "localization", "registration", "tracking", "identification"]
+_ROOMS += ["finding", "lens", "formats", "plotting", "base"]
 _WINGS = ["explaining", "live", "robots", "study", "lab", "reproduce"]
 
 # Loaded when first used: `import occlib` and `occlib --help` must not wait for OpenCV and Numba.

@@ -6,7 +6,6 @@ contract in the README. How a camera's pictures may be stored is a matter of the
 
 from __future__ import annotations
 
-import hashlib
 import os
 import re
 import sys
@@ -21,7 +20,7 @@ import numpy as np
 
 from occlib.base import checks
 from occlib.base.arrays import Image
-from occlib.base.files import file_hash, read_image, read_yaml, write_file
+from occlib.base.files import file_hash, read_image, read_yaml, sha256, write_file
 from occlib.geometry import Rig
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg")
@@ -418,7 +417,7 @@ def fetch(name: str, *, catalogue: str | Path = DATA / "sources.yaml", progress:
     return folder
 
 
-def _download(url: str, sha256: str) -> bytes:
+def _download(url: str, expected: str) -> bytes:
     """The content of a URL; ``ValueError`` if there is none, or another than the checksum says."""
     from http.client import HTTPException
     from urllib.request import urlopen
@@ -428,6 +427,6 @@ def _download(url: str, sha256: str) -> bytes:
             content = bytes(response.read())
     except (OSError, HTTPException) as error:
         raise ValueError(str(error)) from None
-    if (found := hashlib.sha256(content).hexdigest()) != sha256:
-        raise ValueError(f"its SHA-256 hash is {found}, expected {sha256}")
+    if (found := sha256(content)) != expected:
+        raise ValueError(f"its SHA-256 hash is {found}, expected {expected}")
     return content

@@ -105,7 +105,7 @@ def optima(
         count, labels = cv2.connectedComponents(accepted.astype(np.uint8), connectivity=8)
         places = np.flatnonzero(accepted)
         least = np.full(count, np.inf)
-        np.minimum.at(least, labels.flat[places], cost.flat[places])
+        np.minimum.at(least, np.asarray(labels.flat[places], np.intp), cost.flat[places])
         places = places[cost.flat[places] == least[labels.flat[places]]]  # only equals are left to be sorted
         places = places[np.argsort(cost.flat[places], kind="stable")]
         _, first = np.unique(labels.flat[places], return_index=True)

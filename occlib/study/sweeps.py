@@ -11,7 +11,6 @@ from elsewhere must not run code. Nor is its Dask backend: it waits for ever for
 
 from __future__ import annotations
 
-import hashlib
 import importlib.metadata
 import io
 import json
@@ -29,12 +28,13 @@ from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import Any, TypeAlias
 
 from tqdm import tqdm
 
 from occlib.base.extras import check_extra, import_extra
-from occlib.base.files import file_hash, folder_hash, staged_folder, write_file
+from occlib.base.extras import pandas as pd
+from occlib.base.files import file_hash, folder_hash, sha256, staged_folder, write_file
 from occlib.base.interrupts import stoppable, uninterrupted
 from occlib.matching.measures import METHODS
 from occlib.matching.registry import load_matchers
@@ -43,9 +43,6 @@ from occlib.recordings import open_recording
 from occlib.study import charts, tables
 from occlib.study.trials import PHOTOGRAPHS, known_names
 from occlib.study.work import Batch, batches, run_batch
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 __all__ = ["Sweep", "load_matchers", "run_batches", "sweep", "versions"]
 
@@ -188,7 +185,7 @@ def _locked(folder: Path) -> Iterator[None]:
 
 def _sealed(text: str, batch: Batch, made_of: Mapping[str, Any]) -> str:
     """A table with a last line that vouches for it: made of what, and its hash."""
-    seal = {"batch": repr(batch), **made_of, "sha256": hashlib.sha256(text.encode()).hexdigest()}
+    seal = {"batch": repr(batch), **made_of, "sha256": sha256(text)}
     return f"{text}# {json.dumps(seal)}\n"
 
 

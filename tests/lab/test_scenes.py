@@ -237,8 +237,10 @@ def test_broken_yaml_and_a_missing_scene_say_so(tmp_path):
     (tmp_path / "scene.yaml").write_text("frames: [1")
     with pytest.raises(ValueError, match="not valid YAML"):
         load_scene(tmp_path)
-    with pytest.raises(ValueError, match="cannot read"):
+    with pytest.raises(ValueError, match=r"no_such_scene: no such scene \(data/lab has ball_and_oval, "):
         load_scene("no_such_scene")
+    with pytest.raises(ValueError, match="cannot read"):
+        load_scene(tmp_path / "no_such_folder" / "scene.yaml")
 
 
 def test_rendering_rejects_frames_that_do_not_exist(tmp_path):

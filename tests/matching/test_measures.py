@@ -9,7 +9,7 @@ import pytest
 
 from occlib.base import kernels
 from occlib.matching.measures import METHODS
-from occlib.matching.reference import reference_similarity
+from occlib.matching.reference import REFERENCES, reference_similarity
 from occlib.matching.search import find, similarity
 
 Array = npt.NDArray[Any]
@@ -360,7 +360,8 @@ def test_inputs_stay_unchanged(method: str) -> None:
         for array in (image, template, mask):
             array.flags.writeable = False
         find(image, template, method, mask=mask)
-        reference_similarity(image[:22, :22], template, method, mask)
+        if method in REFERENCES:
+            reference_similarity(image[:22, :22], template, method, mask)
         for array, copy in zip((image, template, mask), before, strict=True):
             np.testing.assert_array_equal(array, copy)
 
