@@ -699,6 +699,7 @@ def test_settings_are_checked_before_any_work(bad: dict[str, Any]) -> None:
         settings_for(**bad)
 
 
+@pytest.mark.slow
 def test_cores_part_robots_whose_shadows_touch() -> None:
     recording = open_recording("four_robots", ["left", "right"])
     backgrounds = backgrounds_of(recording)

@@ -323,6 +323,7 @@ def test_the_pyramid_finds_exact_copies_anywhere(method: str) -> None:
                 assert (found[0].x, found[0].y) == (x, y)
 
 
+@pytest.mark.slow
 @coarse_method
 @pytest.mark.parametrize("step", [2, 4, 8])
 def test_there_is_hope_where_the_copy_is_and_little_elsewhere(method: str, step: int) -> None:
