@@ -21,7 +21,7 @@ import pytest
 from occlib.foreground.background import Background
 from occlib.geometry import Camera, Floor, Rig
 from occlib.lens import Lens
-from occlib.pipeline import backgrounds_of
+from occlib.pipeline import Pipeline, backgrounds_of
 from occlib.recordings import open_recording
 
 pytest.register_assert_rewrite("helpers")
@@ -45,6 +45,15 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
         for fixture in set(ONCE).intersection(getattr(item, "fixturenames", ())):
             item.add_marker(pytest.mark.xdist_group(fixture))
+
+
+def pytest_sessionstart(session: pytest.Session) -> None:
+    """Compile the loops of the chain once, before several processes would each do so while others watch the clock."""
+    if not hasattr(session.config, "workerinput") and not session.config.option.collectonly:
+        recording = open_recording("ball_and_oval", ["left", "right"])
+        pipeline = Pipeline(recording.rig, backgrounds_of(recording))
+        for frame, images in recording.images(recording.frames[:2]):
+            pipeline.process(images, recording.time(frame))
 
 
 @dataclass(frozen=True)

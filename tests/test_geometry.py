@@ -528,3 +528,9 @@ def test_ufes_lab_poses_see_the_floor_where_the_marks_are(shared_data: Callable[
         assert len(error) > 40_000
         assert error.mean() < 1.5 and np.percentile(error, 99) < 3 and error.max() < 4, name
         assert 2.5 < cam.centre_m[2] < 3.2, name
+
+
+@pytest.mark.parametrize("shape", [(0, 2), (3, 0, 2), (0, 17, 2)])
+def test_no_cells_keep_their_shape_as_points(shape: tuple[int, ...]) -> None:
+    assert Floor((0, 4), (0, 3), 0.5).points(np.empty(shape)).shape == shape
+    assert Floor((0, 4), (0, 3), 0.5).points([]).shape == (0, 2)
