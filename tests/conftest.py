@@ -34,7 +34,7 @@ SHARED = Path(__file__).parents[2] / "shared/data"
 SIZE, FLOOR_GREY = (160, 120), (170, 170, 170)
 
 
-ONCE = ("finished", "outcomes", "real_room", "scheduler")
+ONCE = ("finished", "outcomes", "real_room", "scheduler", "sdist")
 """Fixtures that take seconds. Tests that share one run in the same process, so that it is made once; so do those of the group
 ``alone``, whose clocks, signals and ports should not meet."""
 

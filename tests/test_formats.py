@@ -269,6 +269,7 @@ json_values = st.recursive(
 )
 
 
+@pytest.mark.slow
 @settings(max_examples=300, deadline=None)
 @given(st.dictionaries(st.sampled_from(["0", "1", "x"]), st.lists(json_values, max_size=3) | json_values), json_values)
 def test_whatever_comes_is_a_truth_or_a_line_of_error(frames: Any, regions: Any) -> None:

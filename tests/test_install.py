@@ -57,6 +57,7 @@ def python(script: str, *arguments: object, cwd: Path | None = None, path: Path 
 
 
 # --- imports -----------------------------------------------------------------------------------------------
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "script, heavy",
     [
@@ -90,6 +91,7 @@ def test_names_load_when_used() -> None:
         occlib.pipe_line  # noqa: B018
 
 
+@pytest.mark.slow
 def test_every_module_can_be_imported_with_the_core_alone() -> None:
     python(f"{WITHOUT_EXTRAS}\nimport importlib\nfor name in {MODULES!r}:\n    importlib.import_module(name)")
 
@@ -305,6 +307,7 @@ def test_the_wheel_works_on_folders_of_ones_own(installed: Path, tiny_recording:
         assert results[name][2].count("\n") == 1
 
 
+@pytest.mark.slow
 def test_a_copy_finds_the_recordings_from_inside_the_repository(
     installed: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

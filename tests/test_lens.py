@@ -20,6 +20,7 @@ XS, YS = np.meshgrid(np.arange(0, 640, 20), np.arange(0, 480, 20))
 PICTURE = np.column_stack([XS.ravel(), YS.ravel()]).astype(float)
 
 
+@pytest.mark.slow
 @settings(max_examples=50, deadline=None)
 @given(st.floats(-0.3, 0.3), st.floats(-0.05, 0.05), st.floats(-0.003, 0.003), st.floats(-0.003, 0.003))
 def test_distorting_takes_undistorting_back(k1: float, k2: float, p1: float, p2: float) -> None:

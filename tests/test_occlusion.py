@@ -191,6 +191,7 @@ def test_the_joint_rules_are_what_they_say_cell_by_cell(rule: str, count: int, d
         np.testing.assert_array_equal(view, before)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rule", ["and", "or", "most", "product", "log-odds"])
 @given(data=st.data())
 def test_one_view_alone_is_passed_on(rule: str, data: st.DataObject) -> None:

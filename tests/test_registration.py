@@ -289,6 +289,7 @@ def polar_samples(warp: PolarWarp, points_m: Array) -> Array:
     return np.column_stack([(azimuth - left) / step, (np.arctan2(-dz, np.hypot(dx, dy)) - top) / step])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("camera", [LEFT, RIGHT, PARTIAL], ids=lambda c: c.name)
 def test_a_vertical_line_of_the_world_falls_into_one_column(camera: Camera) -> None:
     warp = PolarWarp(camera, FLOOR, 1.0)

@@ -47,6 +47,7 @@ def test_it_is_what_the_pipeline_finds(tiny_recording: Path, tmp_path: Path) -> 
     assert load_map(out / "map.yaml") == results[-1].map
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("bag", [None, "mcap"])
 def test_no_frame_stays_in_memory(
     tiny_recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, bag: str | None
@@ -65,6 +66,7 @@ def test_no_frame_stays_in_memory(
     assert alive == [0, 1, 1, 1, 1]  # the previous one
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("bag", [None, "mcap", "ros2"])
 def test_a_run_that_fails_leaves_what_was_there(
     tiny_recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, bag: str | None
@@ -112,6 +114,7 @@ def two(tiny_recording: Path) -> list[Path]:
     return [tiny_recording, copy]
 
 
+@pytest.mark.slow
 def test_each_of_several_gets_a_folder_of_its_name(
     two: list[Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -66,7 +66,8 @@ def sweep(args: argparse.Namespace) -> int:
     )
     for condition, statement in done.verdicts[["condition", "statement"]].itertuples(index=False):
         print(f"{condition:>18}  {statement}")
-    print(f"{args.out}: trials.csv ({len(done.trials)} rows), {', '.join(done.files)}")
+    trials, *others = done.files
+    print(f"{args.out}: {trials} ({len(done.trials)} rows), {', '.join(others)}")
     return 0
 
 

@@ -28,11 +28,12 @@ from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import Any, TypeAlias
 
 from tqdm import tqdm
 
 from occlib.base.extras import check_extra, import_extra
+from occlib.base.extras import pandas as pd
 from occlib.base.files import file_hash, folder_hash, sha256, staged_folder, write_file
 from occlib.base.interrupts import stoppable, uninterrupted
 from occlib.matching.measures import METHODS
@@ -42,9 +43,6 @@ from occlib.recordings import open_recording
 from occlib.study import charts, tables
 from occlib.study.trials import PHOTOGRAPHS, known_names
 from occlib.study.work import Batch, batches, run_batch
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 __all__ = ["Sweep", "load_matchers", "run_batches", "sweep", "versions"]
 

@@ -49,6 +49,7 @@ def damaged(content: bytes) -> list[bytes]:
     return [*cut, bytes(len(content)), b"garbage\n" * 40, b"\x80\x05" + bytes(range(256))]
 
 
+@pytest.mark.slow
 def test_what_was_compiled_is_kept(load: Callable[[], Any]) -> None:
     assert load()(WHOLE) == 12
     again = load()
@@ -56,6 +57,7 @@ def test_what_was_compiled_is_kept(load: Callable[[], Any]) -> None:
     assert from_disk(again) == 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", [".nbi", ".nbc"])
 def test_a_damaged_file_is_passed_over_and_replaced(load: Callable[[], Any], tmp_path: Path, suffix: str) -> None:
     load()(WHOLE)
@@ -67,6 +69,7 @@ def test_a_damaged_file_is_passed_over_and_replaced(load: Callable[[], Any], tmp
         assert again(WHOLE) == 12 and from_disk(again) == 1, content[:20]
 
 
+@pytest.mark.slow
 def test_code_for_other_types_is_not_taken(load: Callable[[], Any], tmp_path: Path) -> None:
     """Two processes that write at the same time may give both results one number."""
     function = load()

@@ -54,6 +54,7 @@ def test_compare_as_json_with_a_rule_a_threshold_and_a_mask(
     assert rows["zncc"]["found"][0]["score"] == 1.0
 
 
+@pytest.mark.slow
 def test_compare_a_template_without_contrast(
     pair: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -68,6 +69,7 @@ def test_compare_a_template_without_contrast(
     assert json.loads(capsys.readouterr().out)["zncc"]["best"] is None
 
 
+@pytest.mark.slow
 def test_compare_with_a_matcher_of_ones_own(
     pair: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

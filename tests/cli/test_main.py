@@ -63,7 +63,7 @@ def test_a_reader_that_leaves_is_no_error() -> None:
     [
         (["data", "fetch"], "data fetch: expected a name, one of ufes-lab, opencv-checkerboard"),
         (["data", "fetch", "nothing"], "nothing: not a public recording; there are ufes-lab, opencv-checkerboard"),
-        (["render", "nothing"], "nothing: cannot read"),
+        (["render", "nothing"], "nothing: no such scene"),
         (["reproduce", "nothing"], "notebook 'nothing': expected one of|no notebook"),
     ],
 )

@@ -44,7 +44,7 @@ def test_run_writes_the_contract(tiny_recording: Path, tmp_path: Path, capsys: p
         assert list(line) == ["frame", "time", "objects"]
         assert len(line["objects"]) == 2
         for thing in line["objects"]:
-            assert list(thing) == ["id", "x", "y", "vx", "vy", "area", "colour", "label", "hidden_in"]
+            assert list(thing) == ["id", "x", "y", "vx", "vy", "area", "colour", "label", "hidden_in", "size"]
             assert isinstance(thing["id"], int)
             assert all(isinstance(thing[key], float) for key in ("x", "y", "vx", "vy", "area"))
             assert len(thing["colour"]) == 3

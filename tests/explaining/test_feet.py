@@ -105,6 +105,7 @@ def points_naive(at: Watch, weights: Array, cylinders: Sequence[Cylinder]) -> Ar
     return points
 
 
+@pytest.mark.slow
 @settings(max_examples=30, deadline=None)
 @given(
     cylinders=st.lists(plausible_cylinders, min_size=2, max_size=3),
@@ -169,6 +170,7 @@ def test_a_place_right_below_a_camera_is_no_trouble() -> None:
     assert len(cylinders) == 1 and np.hypot(*(standing_points(evidence, cylinders)[0] - [0.1, 0.2])) < 0.05
 
 
+@pytest.mark.slow
 def test_the_mean_of_what_explains_nearly_as_much_is_nearer_than_the_best() -> None:
     """Where only the right camera sees something flat, a little farther and lower looks the same to it."""
     errors = []

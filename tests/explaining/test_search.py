@@ -49,6 +49,7 @@ def test_one_object_comes_back(cylinder: Cylinder, cameras: tuple[str, ...]) -> 
     assert_found(explained(seen_from(cameras, [cylinder])), [cylinder])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("cameras", [LEFT_RIGHT, THREE, FOUR], ids=len)
 def test_a_small_object_entirely_hidden_from_one_camera_comes_back(cameras: tuple[str, ...]) -> None:
     evidence = seen_from(cameras, [BIG, SMALL])
@@ -62,6 +63,7 @@ def test_a_small_object_entirely_hidden_from_one_camera_comes_back(cameras: tupl
     assert fractions[1, 0] == 1 and by[1, 0] == 0 and fractions[1, 1] == 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("cameras", "count", "seed"),
     [

@@ -124,6 +124,7 @@ def test_what_does_not_fit_is_left_out() -> None:
 # ---------------------------------------------------------------- turned and scaled objects
 
 
+@pytest.mark.slow
 @every_method
 @pytest.mark.parametrize("size", [(45, 45), (46, 46), (45, 46)])
 @pytest.mark.parametrize("angle, scale", [(0, 1), (30, 1), (-75, 1), (120, 0.75), (45, 1.25), (0, 1.25), (0, 0.75)])
@@ -322,6 +323,7 @@ def test_the_pyramid_finds_exact_copies_anywhere(method: str) -> None:
                 assert (found[0].x, found[0].y) == (x, y)
 
 
+@pytest.mark.slow
 @coarse_method
 @pytest.mark.parametrize("step", [2, 4, 8])
 def test_there_is_hope_where_the_copy_is_and_little_elsewhere(method: str, step: int) -> None:
@@ -338,6 +340,7 @@ def test_there_is_hope_where_the_copy_is_and_little_elsewhere(method: str, step:
         assert hopeful[y, x] and (step == 8 or hopeful.mean() < 0.5)
 
 
+@pytest.mark.slow
 @coarse_method
 @pytest.mark.parametrize("angles", [(0,), (0, 8)])
 @pytest.mark.usefixtures("small_tiles")

@@ -45,6 +45,7 @@ def pairs(draw: st.DrawFn, kind: str) -> tuple[Array, Array, Array | None]:
     return image, template, mask
 
 
+@pytest.mark.slow
 @every_reference
 @pytest.mark.parametrize("kind", ["uint8", "uint16", "float"])
 @settings(max_examples=50, deadline=None)

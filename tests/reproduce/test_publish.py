@@ -16,8 +16,8 @@ from itertools import combinations
 from pathlib import Path
 from typing import Any
 
+import lazy_loader
 import matplotlib.figure
-import nbformat
 import numpy as np
 import psutil
 import pytest
@@ -32,6 +32,7 @@ from occlib.reproduce.notebook import record, save
 from occlib.reproduce.publish import reproduce
 from occlib.reproduce.students import student_copies, student_copy
 
+nbformat = lazy_loader.load("nbformat")  # it takes a second, and these tests are slow ones
 pytestmark = pytest.mark.slow
 
 IMPORTS = "from matplotlib.figure import Figure\nfrom occlib.reproduce import record, save\nimport numpy as np"

@@ -252,6 +252,7 @@ def naive_cost(places: list[Point], near: dict[int, list[int]], other: Trajector
     return math.inf
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(20))
 def test_timed_plans_cost_what_a_naive_a_star_finds(seed: int) -> None:
     rng = np.random.default_rng(seed)

@@ -34,6 +34,7 @@ def test_files_are_compared_as_their_arrays(pair: tuple[Path, Path], tmp_path: P
         np.testing.assert_array_equal(results["ssd"].score, expected.score)
 
 
+@pytest.mark.slow
 def test_a_mask_and_a_matcher_of_ones_own(
     pair: tuple[Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
