@@ -1,4 +1,4 @@
-"""DOC"""
+"""The background of a fixed camera, from pictures of the empty floor: its brightness and its noise, pixel by pixel."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""DOC"""
+"""Grey levels, and the adjustment of a picture's intensity to that of the background (section 2)."""
 
 from __future__ import annotations
 

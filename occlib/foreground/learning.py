@@ -1,4 +1,4 @@
-"""DOC"""
+"""The background learned from frames in which objects move: what is there most of the time."""
 
 from __future__ import annotations
 

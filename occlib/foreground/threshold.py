@@ -1,4 +1,4 @@
-"""DOC"""
+"""Thresholds of a difference image: Otsu's, half of it, the triangle rule, or a fixed level (section 4)."""
 
 from __future__ import annotations
 

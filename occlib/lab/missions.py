@@ -44,7 +44,8 @@ both views, where what both see as foreground and no object explains is unknown.
 cells."""
 
 
-FLOOR = Floor((-2.0, 2.0), (-1.5, 1.5), 0.04)
+MISSION_FLOOR = Floor((-2.0, 2.0), (-1.5, 1.5), 0.04)
+"""The lab's floor in cells of 4 cm, twice the usual: a map is sent and planned on at every step of every robot."""
 
 
 RADIUS_M, HEIGHT_M, SPEED_MPS = 0.12, 0.3, 0.4
@@ -119,18 +120,18 @@ def random_mission(seed: int, *, robots: int = 3, obstacles: int = 5) -> Mission
         raise ValueError(f"robots, obstacles, seed: expected >= 1, 0 and 0, got {robots}, {obstacles} and {seed}")
     rng = np.random.default_rng([seed, robots, obstacles])
     for _ in range(1000):
-        crowd = random_crowd(obstacles, rng, floor=FLOOR, gap=0.1)
-        blocked = FLOOR.near(_footprints(crowd), RADIUS_M + 0.15)
-        inner = np.add([FLOOR.x, FLOOR.y], [0.3, -0.3])
+        crowd = random_crowd(obstacles, rng, floor=MISSION_FLOOR, gap=0.1)
+        blocked = MISSION_FLOOR.near(_footprints(crowd), RADIUS_M + 0.15)
+        inner = np.add([MISSION_FLOOR.x, MISSION_FLOOR.y], [0.3, -0.3])
         ends = rng.uniform(inner[:, 0], inner[:, 1], (2 * robots, 2))
-        cells = np.rint(FLOOR.cells(ends)).astype(int)
+        cells = np.rint(MISSION_FLOOR.cells(ends)).astype(int)
         apart = [
             math.dist(a, b) for group in (ends[:robots], ends[robots:]) for i, a in enumerate(group) for b in group[:i]
         ]
         far = np.linalg.norm(ends[:robots] - ends[robots:], axis=1)
         if blocked[cells[:, 1], cells[:, 0]].any() or min(apart, default=1.0) < 0.6 or far.min() < 1.5:
             continue
-        ways = [plan(blocked, FLOOR, a, b) for a, b in zip(ends[:robots], ends[robots:], strict=True)]
+        ways = [plan(blocked, MISSION_FLOOR, a, b) for a, b in zip(ends[:robots], ends[robots:], strict=True)]
         if all(way is not None for way in ways):
             points = [(float(x), float(y)) for x, y in ends]
             return Mission(seed, crowd, tuple(points[:robots]), tuple(points[robots:]))
@@ -151,7 +152,9 @@ def run_missions(missions: Sequence[Mission], maps: Sequence[str] = MAPS, *, pro
         raise ValueError("missions: expected one or more, with equally many robots")
     for mission in missions:
         ends = np.array([*mission.starts, *mission.goals], dtype=np.float64).reshape(-1, 2)
-        inside = ((ends > (FLOOR.x[0], FLOOR.y[0])) & (ends < (FLOOR.x[1], FLOOR.y[1]))).all()
+        inside = (
+            (ends > (MISSION_FLOOR.x[0], MISSION_FLOOR.y[0])) & (ends < (MISSION_FLOOR.x[1], MISSION_FLOOR.y[1]))
+        ).all()
         if not mission.starts or len(mission.starts) != len(mission.goals) or not inside:
             raise ValueError(f"missions: expected a start and a goal on the floor for each robot, got {ends.tolist()}")
     station = _Station()
@@ -213,9 +216,9 @@ class _Station:
     """Two cameras, and what each kind of map makes of their silhouettes."""
 
     def __init__(self) -> None:
-        self.rig = wall_rig(2, floor=FLOOR, size=(320, 240))
+        self.rig = wall_rig(2, floor=MISSION_FLOOR, size=(320, 240))
         self.simulation, self.explainer = Simulation(self.rig), Explainer(self.rig)
-        self.everywhere = np.ones(FLOOR.shape, bool)
+        self.everywhere = np.ones(MISSION_FLOOR.shape, bool)
         self.cylinders: list[Cylinder] = []
 
     def masks(self, crowd: Sequence[SceneObject]) -> dict[str, Mask]:
@@ -231,13 +234,16 @@ class _Station:
             occupied = self.simulation.occupied(masks, "and")
         if kind.startswith("explain"):
             self.cylinders = self.explainer.explain(evidence_of(masks), self.cylinders)
-            known, occupied = ~occupied, footprints(self.cylinders, occupied, FLOOR) > 0
-        return occupancy_map(occupied, known, FLOOR).data
+            known, occupied = ~occupied, footprints(self.cylinders, occupied, MISSION_FLOOR) > 0
+        return occupancy_map(occupied, known, MISSION_FLOOR).data
 
 
 def _footprints(crowd: Sequence[SceneObject]) -> Mask:
     """Cells under the objects."""
-    return np.any([np.zeros(FLOOR.shape, bool), *(FLOOR.polygon_mask(each.footprint(0)) for each in crowd)], axis=0)
+    return np.any(
+        [np.zeros(MISSION_FLOOR.shape, bool), *(MISSION_FLOOR.polygon_mask(each.footprint(0)) for each in crowd)],
+        axis=0,
+    )
 
 
 def _bodies(positions: Sequence[Point]) -> list[SceneObject]:
@@ -261,8 +267,8 @@ def _drive(mission: Mission, kind: str, station: _Station, publisher: Publisher,
         data = station.map(kind, {name: still[name] | moving[name] for name in still}, true)
         wrong = (data > 0) | (data < 0) & (not daring)
         first = data if first is None else first
-        blocked.append(float((wrong & ~true).sum()) * FLOOR.cell_area)
-        sequence = publisher.send(data, FLOOR, [], time.time()).sequence
+        blocked.append(float((wrong & ~true).sum()) * MISSION_FLOOR.cell_area)
+        sequence = publisher.send(data, MISSION_FLOOR, [], time.time()).sequence
         rank = sorted(names, key=lambda k: plans[k]["arrived"])  # who has arrived makes way
         for k in rank:
             others = _announced(plans, rank, k)
@@ -329,10 +335,12 @@ def _gap(at: Point, polygon: FloatArray) -> float:
 
 def _detour(mission: Mission, paths: Sequence[Sequence[Point]], done: Sequence[bool]) -> float:
     """Length driven over the shortest on the true map, corners cut, of the robots that finished."""
-    free = FLOOR.near(_footprints(mission.obstacles), RADIUS_M)
-    ways = [plan(free, FLOOR, a, b) for a, b in zip(mission.starts, mission.goals, strict=True)]
+    free = MISSION_FLOOR.near(_footprints(mission.obstacles), RADIUS_M)
+    ways = [plan(free, MISSION_FLOOR, a, b) for a, b in zip(mission.starts, mission.goals, strict=True)]
     shortest = sum(
-        path_length_m(shorten(way, free, FLOOR)) for way, ok in zip(ways, done, strict=True) if ok and way is not None
+        path_length_m(shorten(way, free, MISSION_FLOOR))
+        for way, ok in zip(ways, done, strict=True)
+        if ok and way is not None
     )
     driven = sum(path_length_m(np.array(path)) for path, ok in zip(paths, done, strict=True) if ok)
     return driven / shortest if shortest else math.nan

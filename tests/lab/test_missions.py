@@ -15,7 +15,7 @@ import pytest
 from occlib import geometry
 from occlib.lab import missions
 from occlib.lab.crowds import upright
-from occlib.lab.missions import FLOOR, RADIUS_M, Mission, drive_together, random_mission, run_missions, summary
+from occlib.lab.missions import MISSION_FLOOR, RADIUS_M, Mission, drive_together, random_mission, run_missions, summary
 
 pytestmark = pytest.mark.slow
 
@@ -64,9 +64,9 @@ def test_one_view_crashes_nobody_and_refuses_floor(outcomes: dict[str, missions.
 
 
 def test_every_map_holds_the_wall(outcomes: dict[str, missions.Outcome]) -> None:
-    wall = FLOOR.polygon_mask(WALL.footprint(0))
+    wall = MISSION_FLOOR.polygon_mask(WALL.footprint(0))
     for outcome in outcomes.values():
-        assert (outcome.first_map[FLOOR.distance_m(~wall) > 1.5 * FLOOR.resolution] != 0).all()
+        assert (outcome.first_map[MISSION_FLOOR.distance_m(~wall) > 1.5 * MISSION_FLOOR.resolution] != 0).all()
         assert (outcome.first_map[wall] != 0).mean() > 0.7  # the rim is a matter of pixels
         assert set(np.unique(outcome.first_map)) <= {-1, 0, 100}
 
