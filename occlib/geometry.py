@@ -101,7 +101,7 @@ class Floor:
         array([1.75, 1.25])
         """
         ixy = np.asarray(cells, dtype=np.float64)
-        if ixy.size == 0:
+        if ixy.shape == (0,):  # an empty list
             return np.empty((0, 2))
         if ixy.shape[-1:] != (2,):
             raise ValueError(f"cells: expected shape (..., 2), got {ixy.shape}")

@@ -75,7 +75,7 @@ def test_python_m_is_the_same_command() -> None:
     assert done.stdout.startswith("ufes-lab: ")
     done = subprocess.run([*run, "render", "nothing"], capture_output=True, text=True)
     assert (done.returncode, done.stderr.count("\n")) == (2, 1)
-    assert done.stderr.startswith("occlib render: nothing: cannot read")
+    assert done.stderr.startswith("occlib render: nothing: no such scene")
 
 
 def test_help_lists_what_there_is(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
