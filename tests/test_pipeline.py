@@ -352,7 +352,7 @@ def test_bad_settings_are_named(tiny_rig: Rig, draw: Draw) -> None:
     empty = draw([])
     with pytest.raises(ValueError, match="profile: expected one of recommended, and, paper, got 'papre'"):
         settings_for("papre")
-    with pytest.raises(ValueError, match="position: expected centroid or middle, got 'mean'"):
+    with pytest.raises(ValueError, match="position: expected one of centroid, middle, got 'mean'"):
         Pipeline(tiny_rig, empty, Settings(finder=Regions(position="mean")))
     for change, message in (
         ({"rule": "xor"}, "rule: expected one of and, or"),

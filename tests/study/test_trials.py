@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from occlib import geometry, recordings
+from occlib.lens import Lens
 from occlib.matching import measures, search
 from occlib.study import trials, work
 from occlib.study.conditions import CONDITIONS
@@ -100,7 +101,7 @@ def test_sources_without_the_real_recording(monkeypatch, tmp_path):
 
 def test_floor_error_against_a_hand_computation():
     homography = np.array([[0.02, 0, 1], [0, 0.03, 2], [0, 0, 1.0]])  # 2 cm a px in x, 3 cm in y
-    camera = geometry.Camera("above", (320, 240), np.diag([100.0, 100, 1]), np.zeros(5), homography)
+    camera = geometry.Camera("above", (320, 240), Lens(np.diag([100.0, 100, 1]), np.zeros(5)), homography)
     assert trials.cm_per_px(camera, np.array([50.0, 60.0])) == pytest.approx(np.diag([2, 3]), abs=1e-6)
     template = trials._photograph("camera")[200:248, 200:248]
     image = np.zeros((240, 320), np.uint8)

@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 
 from occlib.matching import measures
-from occlib.study import tables, trials
+from occlib.study import sweeps, tables, trials
 from occlib.study import work as work_module
 from occlib.study.conditions import CONDITIONS
 
@@ -142,7 +142,7 @@ def test_wrong_methods_levels_and_tables_are_named(small):
 
 def test_a_sweep_writes_what_it_returns(tmp_path):
     options = {"seeds": [0, 1], "conditions": ["offset", "occlusion", "absent"], "sources": ["coins"]}
-    found = work_module.sweep(tmp_path, "fast", **options, methods=["zncc", "ssd"], progress=False)
+    found = sweeps.sweep(tmp_path, "fast", **options, methods=["zncc", "ssd"], progress=False)
     assert found.files == (
         "trials.csv", "summary.csv", "thresholds.csv", "verdicts.csv", "verdicts.png", "recall.png"
     )  # fmt: skip
@@ -161,8 +161,8 @@ def test_a_sweep_writes_what_it_returns(tmp_path):
 def test_a_sweep_without_a_curve_leaves_no_picture_of_an_earlier_one(tmp_path):
     (tmp_path / "recall.png").write_bytes(b"of an earlier sweep")
     options = {"seeds": [0], "conditions": ["time"], "sources": ["four_robots"], "methods": ["ssd"], "progress": False}
-    assert "recall.png" in work_module.sweep(tmp_path, "fast", **options).files
+    assert "recall.png" in sweeps.sweep(tmp_path, "fast", **options).files
     with pytest.MonkeyPatch.context() as patch:
         patch.setitem(CONDITIONS, "time", replace(CONDITIONS["time"], levels=(0,)))
-        assert "recall.png" not in work_module.sweep(tmp_path, "fast", **options).files
+        assert "recall.png" not in sweeps.sweep(tmp_path, "fast", **options).files
     assert not (tmp_path / "recall.png").exists()
