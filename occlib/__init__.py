@@ -6,7 +6,7 @@ The chain
     pipeline        Fig 3: frames in, map and objects out
     finding         objects as regions of the fused evidence
     identification  sections 3, 4: known objects in each view by SSD, and their actual size
-    settings        the stages' settings together; the profiles paper, and, recommended
+    settings        the profiles paper, and, recommended; each stage's own settings stand beside its code
     running         a recording run through the chain, its results on disk
 The paper's stages, none of which imports another
     calibration     section 2: a camera from pictures of a checkerboard (Figs 1, 2)
@@ -25,14 +25,14 @@ What the stages stand on
     formats         rig, scene, truth, objects, messages, manifests: typed, read and checked
     base            files, arrays, interrupts, compiled loops, extras
 What looks at the results
-    metrics         scores of objects and maps against the truth
+    metrics         scores against the truth: of detections (MODA), labels and sizes, maps
     plotting        colours of the map and of the cameras, views, overviews
 Wings
     explaining      beyond AND: the fewest upright objects that explain all silhouettes
-    live            live cameras; broadcast to robots, late joiners too; messages; bags and topic of ROS
+    live            live cameras; broadcast to robots (late joiners, too: in broadcast); messages; bags and topic of ROS
     robots          paths on the map, and right of way
     study           which measure, when: trials, sweeps, tables, charts
-    lab             rendered scenes with exact truth: scenes, rendering, crowds, ghosts, missions
+    lab             scenes with exact truth: rendering, crowds, missions; ghosts (false crossings of shadows) predicted and counted
 Above them
     reproduce       notebooks run, figures and metrics published
     cli             the command ``occlib``

@@ -34,19 +34,6 @@ SHARED = Path(__file__).parents[2] / "shared/data"
 SIZE, FLOOR_GREY = (160, 120), (170, 170, 170)
 
 
-ONCE = ("finished", "outcomes", "real_room", "scheduler", "sdist")
-"""Fixtures that take seconds. Tests that share one run in the same process, so that it is made once; so do those of the group
-``alone``, whose clocks, signals and ports should not meet."""
-
-
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """The slow tests first, so that no core waits for the last of them."""
-    items.sort(key=lambda item: item.get_closest_marker("slow") is None)
-    for item in items:
-        for fixture in set(ONCE).intersection(getattr(item, "fixturenames", ())):
-            item.add_marker(pytest.mark.xdist_group(fixture))
-
-
 def pytest_sessionstart(session: pytest.Session) -> None:
     """Compile the loops of the chain once, before several processes would each do so while others watch the clock."""
     if not hasattr(session.config, "workerinput") and not session.config.option.collectonly:
@@ -168,7 +155,7 @@ def shared_data() -> Callable[[str], Path]:
 
 @pytest.fixture(scope="session")
 def real_room(shared_data: Callable[[str], Path]) -> dict[str, Background]:
-    """The backgrounds of ``ufes-lab``, learned for each of its four cameras from frames that are never empty."""
+    """The backgrounds of ``ufes-lab``, learned for each of its four cameras from frames that are never empty. It takes 20 s."""
     return backgrounds_of(open_recording(shared_data("ufes-lab")))
 
 

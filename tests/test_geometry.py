@@ -175,6 +175,8 @@ def test_no_points_give_no_points() -> None:
     for method in (cam.lens.undistort, cam.lens.distort, cam.floor_to_pixels, cam.pixels_to_floor):
         assert method([]).shape == (0, 2)
     assert cam.project([]).shape == (0, 2)
+    assert Floor((0, 4), (1, 2), 0.5).points([]).shape == (0, 2)
+    assert Floor((0, 4), (1, 2), 0.5).points(np.empty((0, 3, 2))).shape == (0, 3, 2)
 
 
 def test_inputs_stay_as_they_were() -> None:

@@ -6,7 +6,7 @@ import io
 import zipfile
 import zlib
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from occlib.base import checks
-from occlib.base.arrays import Image, Mask
+from occlib.base.arrays import Image
 from occlib.base.files import write_file
 from occlib.foreground.intensity import _checked, to_grey
 
@@ -44,14 +44,11 @@ class Background:
         The same pixel by pixel, float32 (H, W), of the channel that varies most: 1.4826 times the median absolute
         deviation. None if only one picture was seen. Where leaves or a screen move it is far above ``noise``; it
         can be 0, where a level never changed.
-    unrounded
-        The image before rounding, float32 (H, W, 3), kept by :func:`update_background` and not written to files.
     """
 
     image: Image
     noise: float = 0.0
     spread: Float32Array | None = None
-    unrounded: Float32Array | None = field(default=None, repr=False, compare=False)
 
     @property
     def noise_floor(self) -> float:
@@ -128,53 +125,6 @@ def average_background(images: Sequence[Image]) -> Background:
         freedom = len(stack) - 1  # the median of chi-squared lies below its mean (Wilson and Hilferty 1931)
         noise = float(np.sqrt(np.median(stack.var(axis=0, ddof=1)) / (1 - 2 / (9 * freedom)) ** 3))
     return Background(np.round(mean).astype(np.uint8), noise, _spread(stack) if len(stack) > 1 else None)
-
-
-def update_background(background: Background, image: Image, foreground: Mask, *, rate: float = 0.02) -> Background:
-    """The background a little later: it follows the frame where there is no foreground.
-
-    ``new = (1 - rate) * old + rate * image`` outside ``foreground``, and inside the background stays as it is: the
-    selective running average of Koller et al. (1994), "Towards robust automatic traffic scene analysis in
-    real-time". The levels are kept unrounded from update to update (:attr:`Background.unrounded`), so that small
-    rates do not stall.
-
-    Parameters
-    ----------
-    background
-        The background so far; it is not changed.
-    image
-        uint8 RGB (H, W, 3), of the background's intensity (see :func:`adjust_intensity`).
-    foreground
-        Bool (H, W), True where the background must not learn. Rather too large than too small.
-    rate
-        Share of the difference that is made up for in one update, 0 to 1: after ``1 / rate`` of them 63 %.
-
-    Returns
-    -------
-    Background
-        With the noise and spread of before.
-
-    Raises
-    ------
-    ValueError
-        If the image or the foreground does not fit the background, or the rate is not between 0 and 1.
-
-    Examples
-    --------
-    >>> background = Background(np.full((2, 2, 3), 100, np.uint8))
-    >>> for _ in range(35):
-    ...     background = update_background(background, np.full((2, 2, 3), 108, np.uint8), np.eye(2, dtype=bool))
-    >>> background.image[..., 0].tolist()
-    [[100, 104], [104, 100]]
-    """
-    if image.shape != background.image.shape or image.dtype != np.uint8:
-        raise ValueError(f"image: expected uint8 {background.image.shape}, got {image.dtype} {image.shape}")
-    checks.mask("foreground", foreground, image.shape[:2])
-    checks.number("rate", rate, least=0, most=1, unit="a share")
-    before = background.image if background.unrounded is None else background.unrounded
-    levels = before.astype(np.float32)  # a copy
-    cv2.accumulateWeighted(image, levels, rate, mask=(~foreground).astype(np.uint8))
-    return Background(cv2.convertScaleAbs(levels), background.noise, background.spread, levels)
 
 
 def weighted_median(values: Image, weights: Image) -> Image:

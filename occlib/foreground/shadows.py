@@ -152,26 +152,3 @@ def _evidence(image: Any, background: Any, texture: Any, gains: Any, how: Any, o
             score = np.sqrt(chroma * chroma + brightness * brightness)
             value = np.float32(127.5) * (1 + (score - 1) * steepness)
             out[y, x] = np.uint8(min(max(value, np.float32(0)), np.float32(255)))
-
-
-def foreground_evidence_naive(image: Image, background: Background, *, shadows: ShadowModel = ShadowModel()) -> Image:
-    """The same as :func:`foreground_evidence`, equation by equation in NumPy."""
-    gains = np.array([channel_gain_offset(image, background.image, c) for c in range(3)], np.float32)
-    smoothed, texture, least = background.soft
-    i = cv2.GaussianBlur(image, (3, 3), 0) * gains[:, 0] + gains[:, 1]
-    level = np.sqrt((smoothed**2).sum(axis=2))
-    alpha = (i * smoothed).sum(axis=2) / np.maximum(level**2, 1)
-    spare = shadows.texture * texture
-    chroma = np.sqrt(((i - alpha[..., None] * smoothed) ** 2).sum(axis=2))
-    chroma /= np.maximum(shadows.chroma * level, max(shadows.least_chroma, 0.5 * least)) + spare
-    least = 1.73 * max(shadows.least_step, least)
-    deepest = np.minimum(shadows.darkest, 1.73 * shadows.least_level / np.maximum(level, 1))
-    darker = np.minimum((1 - alpha) / (1 - deepest), (1 - alpha) * level / (least + 2 * 1.73 * spare))
-    darker = np.where(darker > 1, 1 + shadows.depth * (darker - 1), darker)
-    brighter = (alpha - 1) * level / (np.maximum(shadows.bright * level, least) + 3 * spare)
-    score = np.hypot(chroma, np.where(alpha < 1, darker, brighter))
-    evidence = cv2.medianBlur(np.clip(127.5 * (1 + (score - 1) * shadows.steepness), 0, 255).astype(np.uint8), 5)
-    change = np.minimum(np.abs(i - smoothed).mean(axis=2), 255).astype(np.uint8)
-    square = np.ones((5, 5), np.uint8)
-    halfway = cv2.erode(change, square) / 2 + cv2.dilate(change, square) / 2
-    return np.asarray(np.where(change < halfway, cv2.erode(evidence, square), evidence))

@@ -20,7 +20,7 @@ from helpers.commands import fails
 from occlib.cli import main
 from occlib.live.broadcast import Publisher
 
-pytestmark = [pytest.mark.slow, pytest.mark.xdist_group("alone")]
+pytestmark = pytest.mark.slow
 
 
 @contextmanager

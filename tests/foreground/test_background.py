@@ -17,7 +17,6 @@ from occlib.foreground.background import (
     Background,
     as_background,
     average_background,
-    update_background,
     weighted_median,
 )
 from occlib.foreground.learning import learn_background
@@ -102,55 +101,6 @@ def test_the_spread_of_few_pictures_is_the_median_absolute_deviation(count: int)
 # --- following slow changes ------------------------------------------------------------------------------
 @pytest.mark.parametrize("rate", [0.001, 0.02, 0.3])
 @pytest.mark.parametrize("change", [-3, 1, 40])
-def test_updates_converge_at_any_rate_and_are_frozen_in_the_foreground(rate: float, change: int) -> None:
-    floor = textured_floor()
-    frame = as_uint8(floor.astype(int) + change)
-    foreground = np.zeros((HEIGHT, WIDTH), bool)
-    foreground[30:60, 40:80] = True
-    first = background = Background(floor, 2.0, np.ones((HEIGHT, WIDTH), np.float32))
-    kept = floor.copy(), frame.copy(), foreground.copy()
-    steps = int(np.ceil(np.log(0.01) / np.log1p(-rate)))
-    for step in range(steps):
-        background = update_background(background, frame, foreground, rate=rate)
-        if step == steps // 2:  # what is left of the change is as planned, not stalled
-            left = (1 - rate) ** (step + 1) * change
-            outside = (frame.astype(int) - background.image)[~foreground]
-            assert np.abs(outside - left).max() <= 0.51
-    np.testing.assert_array_equal(background.image[~foreground], frame[~foreground])
-    np.testing.assert_array_equal(background.image[foreground], floor[foreground])
-    assert background.image.dtype == np.uint8 and (background.noise, background.spread) == (2.0, first.spread)
-    assert first.unrounded is None
-    for now, then in zip((floor, frame, foreground), kept, strict=True):
-        np.testing.assert_array_equal(now, then)
-
-
-def test_an_update_leaves_the_background_before_it_alone() -> None:
-    floor, nobody = textured_floor(), np.zeros((HEIGHT, WIDTH), bool)
-    one = update_background(Background(floor), textured_floor(1), nobody, rate=0.5)
-    assert one.unrounded is not None
-    image, levels = one.image.copy(), one.unrounded.copy()
-    update_background(one, textured_floor(2), nobody, rate=0.5)
-    np.testing.assert_array_equal(one.image, image)
-    np.testing.assert_array_equal(one.unrounded, levels)
-
-
-def test_wrong_arguments_of_an_update_are_named() -> None:
-    floor = textured_floor()
-    background, nobody = Background(floor), np.zeros((HEIGHT, WIDTH), bool)
-    with pytest.raises(ValueError, match=r"image: expected uint8 \(120, 160, 3\), got float64"):
-        update_background(background, floor.astype(float), nobody)
-    with pytest.raises(ValueError, match="image: expected uint8"):
-        update_background(background, floor[:50], nobody)
-    with pytest.raises(ValueError, match=r"foreground: expected bool \(120, 160\), got bool \(50, 160\)"):
-        update_background(background, floor, nobody[:50])
-    with pytest.raises(ValueError, match="foreground: expected bool"):
-        update_background(background, floor, nobody.astype(np.uint8))
-    for rate in (-0.1, 1.5, np.nan):
-        with pytest.raises(ValueError, match="rate: expected a share from 0 to 1"):
-            update_background(background, floor, nobody, rate=rate)
-
-
-# --- files ---------------------------------------------------------------------------------------------
 def test_a_saved_background_reads_back_equal(tmp_path: Path) -> None:
     background = Background(textured_floor(), 2.25)
     path = background.save(tmp_path / "new" / "left.npz")

@@ -14,10 +14,33 @@ from occlib.foreground.background import (
     average_background,
 )
 from occlib.foreground.intensity import adjust_intensity, channel_gain_offset, to_grey
-from occlib.foreground.shadows import SURE, ShadowModel, foreground_evidence, foreground_evidence_naive
+from occlib.foreground.shadows import SURE, ShadowModel, foreground_evidence
 from occlib.lab.scenes import load_scene
 from occlib.lab.truth import silhouettes
 from occlib.recordings import LAB, open_recording
+
+
+def foreground_evidence_naive(image: Pixels, background: Background, *, shadows: ShadowModel) -> Pixels:
+    """The same as :func:`foreground_evidence`, equation by equation in NumPy."""
+    gains = np.array([channel_gain_offset(image, background.image, c) for c in range(3)], np.float32)
+    smoothed, texture, least = background.soft
+    i = cv2.GaussianBlur(image, (3, 3), 0) * gains[:, 0] + gains[:, 1]
+    level = np.sqrt((smoothed**2).sum(axis=2))
+    alpha = (i * smoothed).sum(axis=2) / np.maximum(level**2, 1)
+    spare = shadows.texture * texture
+    chroma = np.sqrt(((i - alpha[..., None] * smoothed) ** 2).sum(axis=2))
+    chroma /= np.maximum(shadows.chroma * level, max(shadows.least_chroma, 0.5 * least)) + spare
+    least = 1.73 * max(shadows.least_step, least)
+    deepest = np.minimum(shadows.darkest, 1.73 * shadows.least_level / np.maximum(level, 1))
+    darker = np.minimum((1 - alpha) / (1 - deepest), (1 - alpha) * level / (least + 2 * 1.73 * spare))
+    darker = np.where(darker > 1, 1 + shadows.depth * (darker - 1), darker)
+    brighter = (alpha - 1) * level / (np.maximum(shadows.bright * level, least) + 3 * spare)
+    score = np.hypot(chroma, np.where(alpha < 1, darker, brighter))
+    evidence = cv2.medianBlur(np.clip(127.5 * (1 + (score - 1) * shadows.steepness), 0, 255).astype(np.uint8), 5)
+    change = np.minimum(np.abs(i - smoothed).mean(axis=2), 255).astype(np.uint8)
+    square = np.ones((5, 5), np.uint8)
+    halfway = cv2.erode(change, square) / 2 + cv2.dilate(change, square) / 2
+    return np.asarray(np.where(change < halfway, cv2.erode(evidence, square), evidence))
 
 
 def blob(top: int = 40, left: int = 50, height: int = 40, width: int = 50) -> tuple[slice, slice]:

@@ -18,8 +18,6 @@ from hypothesis import strategies as st
 from occlib.live.capture import Capture, Device, Paired, Player
 from occlib.recordings import open_recording
 
-pytestmark = pytest.mark.xdist_group("alone")
-
 Array = np.ndarray[Any, Any]
 
 

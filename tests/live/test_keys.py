@@ -17,8 +17,6 @@ from helpers.broadcasts import NEVER, SOON, fake, meet, message, send
 from occlib.live.broadcast import Listener, Publisher, keygen
 from occlib.live.messages import LAST, encode
 
-pytestmark = pytest.mark.xdist_group("alone")
-
 
 # --- who is let in -------------------------------------------------------------------------------------
 def attack(address: str) -> None:

@@ -22,8 +22,6 @@ from occlib.geometry import Floor
 from occlib.live.broadcast import Listener, Publisher
 from occlib.live.messages import TOPIC, encode
 
-pytestmark = pytest.mark.xdist_group("alone")
-
 CHILD = """
 import json, sys, time
 from occlib.live.broadcast import Listener

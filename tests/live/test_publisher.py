@@ -17,8 +17,6 @@ from helpers.broadcasts import FLOOR, GRID, NEVER, SOON, THINGS, fake, meet, sen
 from occlib.live.broadcast import Listener, Publisher
 from occlib.live.messages import LAST, encode
 
-pytestmark = pytest.mark.xdist_group("alone")
-
 
 @pytest.mark.parametrize(
     ("changes", "match"),
