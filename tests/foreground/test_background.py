@@ -98,9 +98,7 @@ def test_the_spread_of_few_pictures_is_the_median_absolute_deviation(count: int)
     np.testing.assert_allclose(spread, expected, rtol=1e-6)
 
 
-# --- following slow changes ------------------------------------------------------------------------------
-@pytest.mark.parametrize("rate", [0.001, 0.02, 0.3])
-@pytest.mark.parametrize("change", [-3, 1, 40])
+# --- files ---------------------------------------------------------------------------------------------
 def test_a_saved_background_reads_back_equal(tmp_path: Path) -> None:
     background = Background(textured_floor(), 2.25)
     path = background.save(tmp_path / "new" / "left.npz")
