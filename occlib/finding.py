@@ -32,6 +32,8 @@ HIDDEN = 0.9
 """An object is *hidden* in a view from this fraction on."""
 GHOST = 0.5
 """A region of which every view has at least this fraction behind other objects is a ghost: those explain it."""
+LARGEST_JOIN_M = 10.0
+"""Fragments this far apart are no longer one object; the reach in cells is also the size of a mask in memory."""
 COLOUR_CELLS = 32
 """At most so many cells of a region are looked at for its colour."""
 
@@ -167,10 +169,11 @@ class Regions:
     identify: IdentifierSettings | None = None
 
     def __post_init__(self) -> None:
-        if self.rule not in region_rules():
-            raise ValueError(f"rule: expected one of {', '.join([*region_rules(), 'explain'])}, got {self.rule!r}")
+        checks.choice("rule", self.rule, region_rules())
         checks.choice("position", self.position, ("centroid", "middle"))
-        checks.number("join_m", self.join_m, least=0, unit="metres")
+        checks.number("join_m", self.join_m, least=0, most=LARGEST_JOIN_M, unit="metres")
+        checks.number("min_area_m2", self.min_area_m2, least=0, unit="m2")
+        checks.number("core", self.core, least=0)
 
     def build(
         self, floor_views: FloorViews, backgrounds: Mapping[str, Background], templates: Mapping[str, Image]

@@ -9,7 +9,8 @@ What the paper leaves open, and what is done here:
 
 * *Where templates come from.* Pictures of the objects may be given. Else they are cut from the first instant that has an object on
   the map: of each object, in each view where its region is its own, the box around the region, :data:`MARGIN_PX` wider, out of the
-  subtracted image. An object that comes later, or that a view never shows apart, has no template there and no label.
+  subtracted image. A view that shows none of them apart, or drops out just then, follows as soon as it shows apart what the
+  other views know. An object that comes later has no template and no label.
 * *Which gray values.* Templates that were cut are matched in the subtracted image, as they are. A given picture shows the object
   itself: it is matched in the gray levels of the view, adjusted to the background's intensity.
 * *Which threshold.* Otsu's, the only one that the paper names ("gray thresh"). It always accepts something: where a known object is absent,
@@ -29,6 +30,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from occlib.base import checks
 from occlib.base.arrays import FloatArray, Image, Mask
 from occlib.base.files import read_image
 from occlib.foreground.background import Background
@@ -36,6 +38,7 @@ from occlib.foreground.evidence import Evidence
 from occlib.foreground.intensity import adjust_intensity, to_grey
 from occlib.geometry import Rig
 from occlib.localization import Region, ScaleTable, find_regions, scale_table
+from occlib.matching.measures import METHODS
 from occlib.matching.optima import RULES
 from occlib.matching.search import Match, find
 from occlib.matching.thresholds import THRESHOLDS
@@ -71,10 +74,14 @@ class IdentifierSettings:
     cell_px: int = 40
 
     def __post_init__(self) -> None:
-        if isinstance(self.limit, str) and self.limit not in ("default", *THRESHOLDS):
+        checks.choice("method", self.method, METHODS)
+        if not isinstance(self.limit, str):
+            checks.number("limit", self.limit, unit="a score")
+        elif self.limit not in ("default", *THRESHOLDS):
             raise ValueError(f"limit: expected a score, default, {' or '.join(THRESHOLDS)}, got {self.limit!r}")
-        if self.optima not in RULES:
-            raise ValueError(f"optima: expected one of {', '.join(RULES)}, got {self.optima!r}")
+        checks.choice("optima", self.optima, RULES)
+        checks.whole("min_area_px", self.min_area_px, least=1)
+        checks.whole("cell_px", self.cell_px, least=1)
 
 
 class Template(NamedTuple):
@@ -119,7 +126,7 @@ class Sighting(NamedTuple):
 class Identified(NamedTuple):
     """What identification says of an object of the map: its label, and its actual size in m2 by the look-up table."""
 
-    label: str | None
+    label: str
     size_m2: float | None
 
 
@@ -146,7 +153,7 @@ def identify(
     """
     labels, regions = find_regions(foreground, min_area=settings.min_area_px)
     candidates = [
-        (match.score, number, match)
+        (_dissimilarity(match, settings), number, match)
         for number, template in enumerate(templates)
         for match in _matches(image, regions, template, settings)
     ]
@@ -176,6 +183,11 @@ def _matches(image: Image, regions: Sequence[Region], template: Template, settin
     limit = None if settings.limit == "default" else settings.limit
     found = find(window, template.picture, settings.method, limit, template.mask, rule=settings.optima)
     return [replace(match, x=match.x + int(left), y=match.y + int(top)) for match in found]
+
+
+def _dissimilarity(match: Match, settings: IdentifierSettings) -> float:
+    """The match's score, turned so that less is more alike."""
+    return -match.score if METHODS[settings.method].higher_is_better else match.score
 
 
 def _same_place(a: Match, b: Match) -> bool:
@@ -208,7 +220,13 @@ def _measured(pixels: Mask) -> Region:
 
 
 def cut_templates(
-    difference: Image, foreground: Mask, cells_px: FloatArray, labels: Labels, *, min_area_px: int
+    difference: Image,
+    foreground: Mask,
+    cells_px: FloatArray,
+    labels: Labels,
+    names: Mapping[int, str],
+    *,
+    min_area_px: int,
 ) -> list[Template]:
     """Templates of the objects of a map that a view shows apart, cut from its subtracted image.
 
@@ -221,7 +239,9 @@ def cut_templates(
     cells_px
         Raw px that each cell of the map shows, (ny, nx, 2); NaN where the camera does not see it.
     labels
-        int (ny, nx), the map's objects from 1; object *k* is called ``"object k"``.
+        int (ny, nx), the map's objects from 1.
+    names
+        What they are called, by their number in ``labels``; one without a name is left out.
     min_area_px
         Smaller regions are noise.
     """
@@ -231,11 +251,12 @@ def cut_templates(
     for number in range(1, counts.shape[1]):
         region = int(counts[1:, number].argmax()) + 1 if len(regions) else 0
         # the region is the object's own: it holds this object's cells and no other object's
-        if region and counts[region, number] and np.count_nonzero(counts[region, 1:]) == 1:
+        own = region and counts[region, number] and np.count_nonzero(counts[region, 1:]) == 1
+        if own and number in names:
             left, top, width, height = regions[region - 1].box
             rows = slice(max(top - MARGIN_PX, 0), top + height + MARGIN_PX)
             columns = slice(max(left - MARGIN_PX, 0), left + width + MARGIN_PX)
-            templates.append(Template(f"object {number}", difference[rows, columns].copy()))
+            templates.append(Template(names[number], difference[rows, columns].copy()))
     return templates
 
 
@@ -312,25 +333,32 @@ class Identifier:
         labels
             int (ny, nx): 0, or the index of the cell's object plus 1.
         """
-        if not self.templates and labels.any():
-            self.templates = {
-                name: cut_templates(
-                    one.values,
-                    one.values > one.level,
-                    self.cells_px[name],
-                    labels,
-                    min_area_px=self.settings.min_area_px,
-                )
-                for name, one in evidence.items()
-            }
+        if not any(self.templates.values()):
+            self._cut(evidence, labels, {number: f"object {number}" for number in range(1, labels.max(initial=0) + 1)})
         claims: dict[int, list[tuple[float, str, float]]] = {}  # object -> score, label, size of each view
         for name, one in evidence.items():
             for seen in self.sightings(images[name], one, name):
                 cells = _overlaps(seen.pixels.astype(np.int32), 1, self.cells_px[name], labels)[1, 1:]
                 if cells.any():
                     size = self.tables[name].actual_area(seen.region)
-                    claims.setdefault(int(cells.argmax()), []).append((seen.match.score, seen.label, size))
-        return _settled(claims)
+                    score = _dissimilarity(seen.match, self.settings)
+                    claims.setdefault(int(cells.argmax()), []).append((score, seen.label, size))
+        known = _settled(claims)
+        late = {name: one for name, one in evidence.items() if not self.templates.get(name)}
+        self._cut(late, labels, {i + 1: identified.label for i, identified in known.items()})
+        return known
+
+    def _cut(self, evidence: Mapping[str, Evidence], labels: Labels, names: Mapping[int, str]) -> None:
+        """Cut templates for these cameras, of those objects of the map that have a name."""
+        for camera, one in evidence.items() if names else ():
+            self.templates[camera] = cut_templates(
+                one.values,
+                one.values > one.level,
+                self.cells_px[camera],
+                labels,
+                names,
+                min_area_px=self.settings.min_area_px,
+            )
 
 
 def read_templates(folder: str | Path) -> dict[str, Image]:
@@ -366,15 +394,15 @@ def _given(label: str, picture: Image) -> Template:
 
 
 def _settled(claims: Mapping[int, Sequence[tuple[float, str, float]]]) -> dict[int, Identified]:
-    """The label of the most similar view for each object, no label twice; the mean of the sizes."""
+    """The label of the most similar view for each object, no label twice; the mean size of the views that agree with it."""
     labels: dict[int, str] = {}
     for _, label, number in sorted(
         (score, label, number) for number, views in claims.items() for score, label, _ in views
     ):
         if number not in labels and label not in labels.values():
             labels[number] = label
-    sizes = {number: [size for _, _, size in views if np.isfinite(size)] for number, views in claims.items()}
-    return {
-        number: Identified(labels.get(number), float(np.mean(sizes[number])) if sizes[number] else None)
-        for number in claims
+    sizes = {
+        number: [size for _, own, size in claims[number] if own == label and np.isfinite(size)]
+        for number, label in labels.items()
     }
+    return {n: Identified(label, float(np.mean(sizes[n])) if sizes[n] else None) for n, label in labels.items()}

@@ -14,8 +14,9 @@ from typing import Any
 
 import numpy as np
 
+from occlib.base import checks
 from occlib.explaining import Explaining
-from occlib.finding import Regions
+from occlib.finding import Regions, region_rules
 from occlib.foreground.evidence import Difference
 from occlib.foreground.shadows import ShadowModel
 from occlib.identification import IdentifierSettings
@@ -94,6 +95,8 @@ def settings_for(
     if profile not in PROFILES:
         raise ValueError(f"profile: expected one of {', '.join(PROFILES)}, got {profile!r}")
     settings = PROFILES[profile]
+    if rule is not None:
+        checks.choice("rule", rule, [*region_rules(), "explain"])
     if rule == "explain":
         settings = replace(
             settings, finder=settings.finder if isinstance(settings.finder, Explaining) else Explaining()
@@ -190,15 +193,19 @@ def _as_type(name: str, value: Any, default: Any) -> Any:
         if isinstance(default, bool):
             return {"true": True, "false": False}[str(value).lower()]
         if isinstance(default, int):
-            return int(value) if isinstance(value, str) or int(value) == value else float("nan")
+            if not isinstance(value, str) and int(value) != value:
+                raise ValueError
+            return int(value)
         if isinstance(default, float):
             number = float(value)
             if not np.isfinite(number):
                 raise ValueError
             return number
         if isinstance(default, tuple):
-            parts = value.split(",") if isinstance(value, str) else value
-            return tuple(float(part) for part in parts)
+            numbers = tuple(map(float, value.split(",") if isinstance(value, str) else value))
+            if not np.isfinite(numbers).all():
+                raise ValueError
+            return numbers
         if isinstance(value, str):
             return _number_or_text(value)
         return value

@@ -205,6 +205,10 @@ class _Track:
         self.size = seen.size_m2
 
 
+LARGEST = 1e6
+"""No setting of the tracker may be larger, in its own unit: its squares are summed."""
+
+
 @dataclass(frozen=True)
 class TrackerSettings:
     """Settings of :class:`Tracker`.
@@ -244,9 +248,8 @@ class TrackerSettings:
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
             positive = name in ("gate_m", "position_noise_m")
-            checks.number(
-                name, value, above=0 if positive else None, least=None if positive else 0, unit="a finite number"
-            )
+            low, least = (0, None) if positive else (None, 0)
+            checks.number(name, value, above=low, least=least, most=LARGEST, unit="a finite number")
 
 
 class Tracker:
@@ -313,7 +316,7 @@ class Tracker:
         anew = self._is_new_scene(observations, assigned, time)
         self._time, self._frame = time, self._frame + 1
         self._retire(set(assigned.values()), time)
-        vectors = []
+        tracks = []
         for index, seen in enumerate(observations):
             track = assigned.get(index)
             if track is None:
@@ -329,8 +332,9 @@ class Tracker:
                 self._name(track, label, time, set(assigned.values()))
             if track.id == 0 and (anew or time - track.since >= self.settings.confirm_s - 1e-9):
                 self._confirm(track, time, anew)
-            vectors.append(self._vector(track, time, seen))
-        return vectors
+            tracks.append(track)
+        # once all labels are settled: a later observation may have taken one over
+        return [self._vector(track, time, seen) for track, seen in zip(tracks, observations, strict=True)]
 
     def coasting(self) -> list[ObjectVector]:
         """The confirmed objects that the last call did not see, where they are expected, with a covariance that grows."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -75,21 +76,20 @@ def test_templates_are_cut_where_an_object_stands_apart() -> None:
     labels[0, :2], labels[2, 3] = 1, 2
     cells = np.full((3, 4, 2), np.nan)
     cells[0, 0], cells[0, 1], cells[2, 3] = (25, 35), (24, 36), (85, 55)
-    cut = cut_templates(image, image > 40, cells, labels, min_area_px=40)
+    names = {1: "object 1", 2: "object 2"}
+    cut = cut_templates(image, image > 40, cells, labels, names, min_area_px=40)
     assert [one.label for one in cut] == ["object 1", "object 2"]
     assert cut[0].picture.shape == (16 + 2 * MARGIN_PX, 14 + 2 * MARGIN_PX)
     np.testing.assert_array_equal(cut[0].picture[MARGIN_PX:-MARGIN_PX, MARGIN_PX:-MARGIN_PX], STRIPES)
+    (named,) = cut_templates(image, image > 40, cells, labels, {2: "cup"}, min_area_px=40)
+    assert named.label == "cup"
     cells[2, 3] = (26, 36)  # the second object now lies behind the first
-    assert cut_templates(image, image > 40, cells, labels, min_area_px=40) == []
+    assert cut_templates(image, image > 40, cells, labels, names, min_area_px=40) == []
 
 
 def test_no_label_twice_and_sizes_are_means() -> None:
     claims = {0: [(5.0, "a", 0.2), (9.0, "b", 0.4)], 1: [(6.0, "a", np.nan)], 2: [(7.0, "c", 0.1)]}
-    assert _settled(claims) == {
-        0: Identified("a", pytest.approx(0.3)),
-        1: Identified(None, None),
-        2: Identified("c", pytest.approx(0.1)),
-    }
+    assert _settled(claims) == {0: Identified("a", pytest.approx(0.2)), 2: Identified("c", pytest.approx(0.1))}
 
 
 def test_the_paper_profile_labels_the_robots_and_measures_them_by_the_table() -> None:
@@ -164,3 +164,41 @@ def test_a_sighting_outside_the_map_names_nothing() -> None:
     image[100:140, 100:140] = 200
     evidence = {"left": Evidence.of_mask(image[..., 0] > 0)}
     assert identifier.identify({"left": image}, evidence, np.ones((2, 2), np.int32)) == {}
+
+
+@pytest.mark.parametrize("method", ["ssd", "sad", "ncc", "zncc"])
+def test_the_most_similar_template_wins_whichever_way_the_measure_counts(method: str) -> None:
+    image = picture((80, 50, CHECKS))
+    noise = np.random.default_rng(0).integers(-60, 61, CHECKS.shape)
+    noisy = np.pad(np.clip(CHECKS.astype(int) + noise, 41, 255).astype(np.uint8), 3)
+    both = [Template("noisy", noisy), TEMPLATES[1]]
+    (seen,) = identify(image, image > 40, both, IdentifierSettings(method=method, limit="default"))
+    assert seen.label == "checks"
+
+
+def test_a_camera_that_drops_out_at_first_gets_its_templates_later() -> None:
+    recording = open_recording("four_robots", ["left", "right", "front"])
+    pipeline = Pipeline(recording.rig, backgrounds_of(recording), settings_for("paper"))
+    identifier = pipeline.finder.identifier
+    assert isinstance(identifier, Identifier)
+    for frame, images in recording.images(recording.frames[:2]):
+        shown = {**images, "front": None} if frame == recording.frames[0] else images
+        objects = pipeline.process(shown, recording.time(frame)).objects
+        assert ("front" in identifier.templates) == (frame != recording.frames[0])
+    labels = {one.label for one in objects}
+    assert labels == {f"object {k}" for k in range(1, 5)}
+    assert {template.label for template in identifier.templates["front"]} <= labels
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ({"method": "foo"}, "method: expected one of ssd, "),
+        ({"limit": float("nan")}, "limit: expected a score, got nan"),
+        ({"cell_px": 0}, "cell_px: expected"),
+        ({"min_area_px": 0}, "min_area_px: expected"),
+    ],
+)
+def test_settings_that_cannot_work_are_named(wrong: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        IdentifierSettings(**wrong)

@@ -405,3 +405,11 @@ def test_labels_are_right_wrong_or_missing_and_sizes_are_ratios() -> None:
     assert score.size_ratio == {"A": pytest.approx(2.0)}
     nothing = metrics.evaluate_identity({}, truth)
     assert (nothing.right, nothing.wrong, nothing.unlabelled, nothing.label_of) == (0, 0, 0, {})
+
+
+def test_identity_needs_ids_and_skips_footprints_without_area() -> None:
+    line = [(0.0, 0.0), (1.0, 0.0), (2.0, 0.0)]
+    found = {0: [DetectedObject(x=0, y=0, label="x", size=0.4)]}
+    assert metrics.evaluate_identity(found, Truth({0: [TrueObject(id="A", x=0, y=0, footprint=line)]})).size_ratio == {}
+    with pytest.raises(ValueError, match="truth: expected objects with an id, got one without"):
+        metrics.evaluate_identity(found, Truth({0: [TrueObject(x=0, y=0)]}))

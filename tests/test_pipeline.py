@@ -359,7 +359,7 @@ def test_bad_settings_are_named(tiny_rig: Rig, draw: Draw) -> None:
         ({"threshold": "ostu"}, "threshold: expected otsu"),
         ({"threshold": -3.0}, "threshold: expected grey levels >= 0"),
         ({"threshold": "otsu", "smoothing_px": 4}, "size: expected an odd number of px"),
-        ({"rule": "and", "join_m": -0.1}, "join_m: expected metres >= 0"),
+        ({"rule": "and", "join_m": -0.1}, "join_m: expected metres"),
     ):
         with pytest.raises(ValueError, match=message):
             Pipeline(tiny_rig, empty, settings_for(**change)).process(empty, 0.0)

@@ -314,3 +314,10 @@ def test_a_label_brings_its_id_back_from_coasting() -> None:
 def test_times_beyond_reason_are_refused() -> None:
     with pytest.raises(ValueError, match="time: expected finite seconds"):
         Tracker().update([], 1e100)
+
+
+def test_no_two_objects_of_a_frame_carry_one_label() -> None:
+    tracker = Tracker()
+    tracker.update([at(0.0, 0.0, label="cup"), at(2.0, 0.0)], 0.0)
+    vectors = tracker.update([at(0.0, 0.0), at(2.0, 0.0, label="cup")], 0.1)
+    assert [(one.id, one.label) for one in vectors] == [(1, None), (2, "cup")]

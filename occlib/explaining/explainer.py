@@ -15,6 +15,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from occlib.base import checks
 from occlib.base.arrays import FloatArray, Image, Mask
 from occlib.explaining.appearance import _box, _likeness, axis_colours
 from occlib.explaining.cylinders import Cylinder
@@ -84,14 +85,16 @@ class Explaining:
     rule = "explain"
 
     def __post_init__(self) -> None:
-        if not (self.step_px > 0 and self.planes_m and min(self.planes_m) >= 0):
-            raise ValueError(
-                f"step_px, planes_m: expected px > 0 and heights >= 0 m, got {self.step_px}, {self.planes_m}"
-            )
-        if not (self.spare >= 0 and self.dark_level < self.light_level):
-            raise ValueError(
-                f"spare, dark_level: expected views >= 0 and levels below light_level, got {self.spare}, {self.dark_level}"
-            )
+        checks.number("step_px", self.step_px, least=0.1, most=100, unit="px")
+        if not self.planes_m:
+            raise ValueError("planes_m: expected one or more heights in metres, got none")
+        for height in self.planes_m:
+            checks.number("planes_m", height, least=0, most=10, unit="metres")
+        checks.whole("spare", self.spare, least=0)
+        checks.number(
+            "dark_level", self.dark_level, least=0, most=self.light_level - 1, unit="grey levels, below light_level"
+        )
+        checks.number("rim_m", self.rim_m, least=0, most=1, unit="metres")
 
     def build(
         self, floor_views: FloorViews, backgrounds: Mapping[str, Background], templates: Mapping[str, Image]

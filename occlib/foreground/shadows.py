@@ -8,6 +8,7 @@ from typing import Any
 import cv2
 import numpy as np
 
+from occlib.base import checks
 from occlib.base.arrays import Image
 from occlib.base.kernels import compiled
 from occlib.foreground.background import Background
@@ -52,6 +53,13 @@ class ShadowModel:
     texture: float = 0.15
     steepness: float = 2.5
     depth: float = 0.5
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            checks.number(name, value, least=0, most=1 if name == "darkest" else None)
+        checks.number("steepness", self.steepness, above=0)
+        checks.number("chroma", self.chroma, above=0)
+        checks.number("darkest", self.darkest, most=0.99)
 
     def evidence(self, image: Image, background: Background) -> Evidence:
         """:func:`foreground_evidence` of a uint8 RGB image as the evidence of a view."""

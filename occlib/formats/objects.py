@@ -32,7 +32,7 @@ class DetectedObject(Struct, frozen=True, kw_only=True):
     hidden_in
         Cameras in which something hides it.
     size
-        Actual size by the look-up table of scale factors, m2; ``None`` where no table is used.
+        Actual size by the look-up table of scale factors, m2; ``None`` without a table, or where no view identifies the object.
 
     Examples
     --------

@@ -57,13 +57,15 @@ def evaluate_identity(detections: Detections, truth: Truth, *, radius: float = 0
     unlabelled, ratios = 0, dict[str, list[float]]()
     for detected, true, pairs in matched_frames(detections, truth, None, radius):
         for i, j, _ in pairs:
+            if true[j].id is None:
+                raise ValueError("truth: expected objects with an id, got one without")
             name, label = str(true[j].id), getattr(detected[i], "label", None)
             unlabelled += label is None
             counts.update([(name, label)] if label is not None else [])
             size = getattr(detected[i], "size_m2", getattr(detected[i], "size", None))
             footprint = true[j].footprint
-            if size is not None and footprint is not None:
-                ratios.setdefault(name, []).append(size / polygon_area(footprint))
+            if size is not None and footprint is not None and (area := polygon_area(footprint)) > 0:
+                ratios.setdefault(name, []).append(size / area)
     names, labels = sorted({name for name, _ in counts}), sorted({label for _, label in counts})
     table = np.array([[counts[name, label] for label in labels] for name in names]).reshape(len(names), len(labels))
     rows, columns = linear_sum_assignment(table, maximize=True)
