@@ -18,7 +18,6 @@ import cv2
 import numpy as np
 import pytest
 
-from occlib.foreground.background import Background
 from occlib.geometry import Camera, Floor, Rig
 from occlib.lens import Lens
 from occlib.pipeline import Pipeline, backgrounds_of
@@ -151,12 +150,6 @@ def shared_data() -> Callable[[str], Path]:
         return SHARED / name
 
     return find
-
-
-@pytest.fixture(scope="session")
-def real_room(shared_data: Callable[[str], Path]) -> dict[str, Background]:
-    """The backgrounds of ``ufes-lab``, learned for each of its four cameras from frames that are never empty. It takes 20 s."""
-    return backgrounds_of(open_recording(shared_data("ufes-lab")))
 
 
 @pytest.fixture

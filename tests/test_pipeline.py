@@ -546,49 +546,6 @@ def test_four_robots_with_four_cameras_claim_less_floor_than_with_two() -> None:
     assert (score(four, truth, radius=0.3).moda or 0) >= 0.95
 
 
-# --- real footage ---------------------------------------------------------------------------------------------
-UFES = {
-    ("cam2", "cam3"): ("cam2+cam3", "cam2+cam3 wide"),
-    ("cam1", "cam2"): ("cam1+cam2",),
-    ("cam1", "cam3"): ("cam1+cam3",),
-    ("cam1", "cam2", "cam3"): ("cam1+cam2+cam3",),
-}
-"""The cameras of the README's table, and the regions that they are scored in."""
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("cameras", UFES, ids="+".join)
-def test_ufes_lab_two_people_in_a_real_room(
-    shared_data: Callable[[str], Path], real_room: dict[str, Background], cameras: tuple[str, ...]
-) -> None:
-    recording = open_recording(shared_data("ufes-lab"), cameras)
-    truth = formats.load_truth(recording.path / "truth.json")
-    backgrounds, frames = {name: real_room[name] for name in cameras}, range(20, 149)
-    pipelines = {
-        name: Pipeline(recording.rig, backgrounds, settings_for(name)) for name in ("paper", "and", "recommended")
-    }
-    detections: dict[str, dict[int, Any]] = {name: {} for name in pipelines}
-    for frame, images in recording.images(frames):
-        for name, pipeline in pipelines.items():
-            result = pipeline.process(images, recording.time(frame))
-            detections[name][frame] = result.objects
-    truth = truth.select(frames)
-    readme = (Path(__file__).parents[1] / "README.md").read_text(encoding="utf-8")
-    moda, error = {}, {}
-    for roi in UFES[cameras]:
-        scores = {name: metrics.evaluate(detections[name], truth, roi=roi, radius=0.5) for name in pipelines}
-        moda[roi], error[roi] = scores["recommended"].moda or 0.0, scores["recommended"].error_median_m or 1.0
-        row = [f"{score.moda:.2f}" for score in scores.values()] + [f"{100 * error[roi]:.1f} cm"]
-        assert f"| {'+'.join(cameras)} | {roi} | {' | '.join(row)} |" in readme
-    least = {"cam2+cam3": 0.97, "cam2+cam3 wide": 0.90, "cam1+cam2": 0.95, "cam1+cam3": 0.97, "cam1+cam2+cam3": 0.97}
-    assert all(moda[roi] >= least[roi] for roi in UFES[cameras])
-    assert all(error[roi] <= (0.06 if len(cameras) == 2 else 0.05) for roi in UFES[cameras])
-    if cameras == ("cam1", "cam2", "cam3"):
-        seen = [(f, thing) for f, things in detections["recommended"].items() if f >= 40 for thing in things]
-        inside = metrics.inside_polygon([thing.position_m for _, thing in seen], truth.region("cam1+cam2+cam3"))
-        assert len({thing.id for (_, thing), there in zip(seen, inside, strict=True) if there}) <= 3  # two people
-
-
 @pytest.mark.parametrize("settings", [AND, settings_for()])
 def test_a_view_that_sees_nothing_of_an_object_says_nothing_about_it(
     tiny_rig: Rig, draw: Draw, settings: Settings

@@ -12,6 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from helpers.covers import PATTERNED, covers, hide, lit, noisy
 from occlib.foreground.background import Background
 from occlib.foreground.health import CameraMonitor
 from occlib.pipeline import backgrounds_of
@@ -19,16 +20,7 @@ from occlib.recordings import Recording, open_recording
 
 Array = np.ndarray[Any, Any]
 LAB = ("four_robots", "long_occlusion", "ball_and_oval", "robot")
-PATTERNED = ("cloth", "knitting", "grass")
 VIEWS = ("left", "right", "front", "back")
-
-
-def noisy(picture: Array, rng: np.random.Generator, sigma: float = 2.0) -> Array:
-    return np.clip(picture + rng.normal(0, sigma, picture.shape), 0, 255).astype(np.uint8)
-
-
-def lit(picture: Array, gain: float, offset: float) -> Array:
-    return np.clip(picture.astype(float) * gain + offset, 0, 255).astype(np.uint8)
 
 
 def empty_rooms(recording: Recording) -> dict[str, Array]:
@@ -42,35 +34,6 @@ MONITOR = CameraMonitor(ROOMS)
 def verdict(picture: Array, room: Array) -> str:
     """What one camera's picture is called at first sight, so that nothing is frozen."""
     return CameraMonitor({"a": room}).check({"a": picture}).get("a", "")
-
-
-def covers(shape: Sequence[int], rng: np.random.Generator) -> dict[str, Array]:
-    """What may hide a room: lens cap, wall, over-exposure, a hand in the light, cloth of coarse and fine texture."""
-    height, width = shape[:2]
-    y, x = np.mgrid[:height, :width]
-    plain = {
-        "cap": np.full((height, width), 3.0),
-        "wall": np.full((height, width), 120.0),
-        "white": np.full((height, width), 254.0),
-        "hand": 60 + 90 * x / width + 50 * np.sin(3.0 * y / height),
-    }
-    for name, sigma in (("cloth", 120.0), ("knitting", 40.0), ("grass", 10.0)):
-        coarse = rng.normal(0, 1, (round(height / sigma) + 2, round(width / sigma) + 2))
-        texture = cv2.resize(coarse, (width, height), interpolation=cv2.INTER_CUBIC)
-        plain[name] = 110 + 35 * texture / texture.std()
-    return {name: noisy(np.dstack([grey] * 3), rng) for name, grey in plain.items()}
-
-
-def hide(picture: Array, cover: Array, share: float) -> Iterator[Array]:
-    """The picture with a share of its area hidden: from the left, right, top, bottom, and in the middle."""
-    height, width = picture.shape[:2]
-    w, h, root = round(width * share), round(height * share), share**0.5
-    top, left = round(height * (1 - root) / 2), round(width * (1 - root) / 2)
-    middle = (slice(top, height - top), slice(left, width - left))
-    for where in (np.s_[:, :w], np.s_[:, width - w :], np.s_[:h], np.s_[height - h :], middle):
-        hidden = picture.copy()
-        hidden[where] = cover[where]
-        yield hidden
 
 
 def crowd(picture: Array, count: int, rng: np.random.Generator) -> tuple[Array, float]:
@@ -374,24 +337,6 @@ def test_nothing_is_wrong_in_a_scene_without_noise(tiny_recording: Path) -> None
     recording = open_recording(tiny_recording)
     monitor = CameraMonitor(backgrounds_of(recording))
     assert [monitor.check(images) for _, images in recording.images()] == [{}] * 5
-
-
-@pytest.mark.slow
-def test_a_real_room(shared_data: Callable[[str], Path], real_room: dict[str, Background]) -> None:
-    recording = open_recording(shared_data("ufes-lab"))
-    monitor, rng = CameraMonitor(real_room), np.random.default_rng(13)
-    for frame, images in recording.images():
-        assert monitor.check(images) == {}, frame
-        if frame == 100:
-            busy = {name: image.copy() for name, image in images.items()}
-    for name, image in busy.items():
-        one = CameraMonitor({name: real_room[name]})
-        for gain, offset in ((0.6, -30), (0.6, 30), (1.5, -30), (1.5, 30)):
-            assert one.check({name: lit(image, gain, offset)}) == {}, (name, gain, offset)
-        for kind, cover in covers(image.shape, rng).items():
-            assert one.check({name: cover})[name] == ("black" if kind == "cap" else "covered")
-            assert all(one.check({name: hidden}) == {} for hidden in hide(image, cover, 0.5)), (name, kind)
-            assert kind in PATTERNED or all(one.check({name: hidden}) for hidden in hide(image, cover, 0.9))
 
 
 # --- arguments ---------------------------------------------------------------------------------------

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import cv2
@@ -11,10 +9,8 @@ import numpy as np
 import pytest
 
 from helpers.floors import HEIGHT, WIDTH, Pixels, as_uint8, large_floor, noisy, relit, textured_floor
-from occlib.foreground.background import Background
 from occlib.foreground.intensity import adjust_intensity
 from occlib.foreground.learning import learn_background
-from occlib.recordings import open_recording
 
 
 def crowded_frames(standing: float, *, count: int = 80) -> tuple[list[Pixels], np.ndarray[Any, Any]]:
@@ -128,29 +124,3 @@ def test_frames_under_changing_light_give_a_background_of_one_light() -> None:
     background = learn_background(lit)
     again = adjust_intensity(background.image, textured_floor())
     assert (np.abs(again.astype(int) - textured_floor()).max(axis=2) > 8).mean() < 0.002
-
-
-FLOOR_WINDOWS = [  # camera, x, y, width, height, samples of 60 in which the place was seen to be empty
-    ("cam1", 355, 285, 70, 90, [2, 3, 4, 5, 6, 7, 8]),
-    ("cam1", 560, 300, 120, 100, [3, 4, 5, 6, 7, 8, 9]),
-    ("cam2", 570, 330, 80, 200, [3, 4, 5, 6, 7, 8]),
-    ("cam2", 800, 420, 120, 100, [10, 11, 12, 13, 15, 16, 17]),
-    ("cam3", 885, 330, 60, 60, [0, 38, 39, 40, 52, 57]),
-    ("cam3", 560, 300, 120, 100, [2, 3, 4, 5, 9, 10, 11, 12]),
-]
-
-
-@pytest.mark.slow
-def test_ufes_lab_nobody_stands_on_the_learned_floor(
-    shared_data: Callable[[str], Path], real_room: dict[str, Background]
-) -> None:
-    pictures = open_recording(shared_data("ufes-lab"), ["cam1", "cam2", "cam3"]).sample(60)
-    ghosts = 0
-    for camera, x, y, width, height, samples in FLOOR_WINDOWS:
-        window = np.s_[y : y + height, x : x + width]
-        empty = cv2.blur(np.median([pictures[camera][k][window] for k in samples], axis=0), (5, 5))
-        error = np.abs(cv2.blur(real_room[camera].image[window], (5, 5)) - empty).max(axis=2)
-        assert np.percentile(error, 99) < 12 and error.mean() < 6, (camera, x, y)
-        plain = np.median([frame[window] for frame in pictures[camera]], axis=0)
-        ghosts += np.percentile(np.abs(cv2.blur(plain, (5, 5)) - empty).max(axis=2), 99) > 30
-    assert ghosts >= 2  # in the plain median, people do
