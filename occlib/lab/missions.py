@@ -217,7 +217,8 @@ class _Station:
 
     def __init__(self) -> None:
         self.rig = wall_rig(2, floor=MISSION_FLOOR, size=(320, 240))
-        self.simulation, self.explainer = Simulation(self.rig), Explainer(self.rig)
+        self.simulation = Simulation(self.rig)
+        self.explainer = Explainer(self.rig, self.simulation.settings)
         self.everywhere = np.ones(MISSION_FLOOR.shape, bool)
         self.cylinders: list[Cylinder] = []
 

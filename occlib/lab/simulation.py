@@ -33,6 +33,8 @@ PLANES_M = (0.0, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3)
 """Planes of the rule ``"planes"``: what reaches through half of them, so something at least 0.15 m high, is kept."""
 
 
+SILHOUETTE_STEP_PX = 2.13
+"""Sampling of polar views in px: exact silhouettes bear finer samples than those of pictures."""
 EXPLAIN = ("explain", "explain, one spare")
 """Rules that search for objects instead of voting on cells; in the second, one view may miss an object."""
 
@@ -63,7 +65,7 @@ class Simulation:
 
     rig: Rig
     trust: tuple[float, float] = (0.8, 0.1)
-    settings: Explaining = field(default_factory=Explaining)
+    settings: Explaining = field(default_factory=lambda: Explaining(step_px=SILHOUETTE_STEP_PX))
 
     @cached_property
     def _scene(self) -> Scene:
