@@ -163,13 +163,13 @@ def fuse(evidence: Sequence[Image], rule: str = "and", *, visible: Sequence[Mask
 @fusion_rule("and", unanimous=True)
 def _and(views: Image, seen: Mask) -> Image:
     """every view that sees it says so (the paper's); soft: the smallest evidence"""
-    return np.asarray(np.where(seen, views, _limits(views.dtype)[1]).min(axis=0))
+    return np.asarray(np.minimum.reduce(_where_seen(views, seen, _limits(views.dtype)[1])))
 
 
 @fusion_rule("or", one_view_enough=True)
 def _or(views: Image, seen: Mask) -> Image:
     """any view says so; soft: the largest evidence"""
-    return np.asarray(np.where(seen, views, _limits(views.dtype)[0]).max(axis=0))
+    return np.asarray(np.maximum.reduce(_where_seen(views, seen, _limits(views.dtype)[0])))
 
 
 @fusion_rule("most")
@@ -200,6 +200,11 @@ def _planes(views: FloatArray, seen: Mask) -> FloatArray:
 
 
 _BUILT_IN.extend(RULES)
+
+
+def _where_seen(views: Image, seen: Mask, neutral: Any) -> Image:
+    """The evidence, and the neutral value where a view does not see the cell."""
+    return views if seen.all() else np.where(seen, views, neutral)
 
 
 def _limits(dtype: np.dtype[Any]) -> tuple[Any, Any]:

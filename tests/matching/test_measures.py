@@ -7,7 +7,6 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from occlib.base import kernels
 from occlib.matching.measures import METHODS
 from occlib.matching.reference import REFERENCES, reference_similarity
 from occlib.matching.search import find, similarity
@@ -364,16 +363,3 @@ def test_inputs_stay_unchanged(method: str) -> None:
             reference_similarity(image[:22, :22], template, method, mask)
         for array, copy in zip((image, template, mask), before, strict=True):
             np.testing.assert_array_equal(array, copy)
-
-
-def test_without_a_folder_for_the_cache_it_compiles_all_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
-
-    real = kernels.numba.njit
-
-    def njit(**options: Any) -> Any:
-        if options.get("cache"):
-            raise RuntimeError("cannot cache function: no locator available")
-        return real(**options)
-
-    monkeypatch.setattr(kernels.numba, "njit", njit)
-    assert kernels.compiled(lambda x: x + 1)(2) == 3
