@@ -11,8 +11,8 @@ What the paper leaves open, and what is done here:
   the map: of each object, in each view where its region is its own, the box around the region, :data:`MARGIN_PX` wider, out of the
   subtracted image. A view that shows none of them apart, or drops out just then, follows as soon as it shows apart what the
   other views know. An object that comes later has no template and no label.
-* *Which gray values.* Templates that were cut are matched in the subtracted image, as they are. A given picture shows the object
-  itself: it is matched in the gray levels of the view, adjusted to the background's intensity.
+* *Which grey values.* Templates that were cut are matched in the subtracted image, as they are. A given picture shows the object
+  itself: it is matched in the grey levels of the view, adjusted to the background's intensity.
 * *Which threshold.* Otsu's, the only one that the paper names ("gray thresh"). It always accepts something: where a known object is absent,
   its template may label an object that no other template claims.
 * *Two templates for one object.* The smaller dissimilarity wins; a template shows one object, so it labels one.
@@ -22,6 +22,7 @@ What the paper leaves open, and what is done here:
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -37,7 +38,7 @@ from occlib.foreground.background import Background
 from occlib.foreground.evidence import Evidence
 from occlib.foreground.intensity import adjust_intensity, to_grey
 from occlib.geometry import Rig
-from occlib.localization import Region, ScaleTable, find_regions, scale_table
+from occlib.localization import Region, ScaleTable, find_regions, measured_regions, scale_table
 from occlib.matching.measures import METHODS
 from occlib.matching.optima import RULES
 from occlib.matching.search import Match, find
@@ -92,7 +93,7 @@ class Template(NamedTuple):
     label
         Which object.
     picture
-        Gray levels, uint8 (h, w): of the object itself, or of the subtracted image.
+        Grey levels, uint8 (h, w): of the object itself, or of the subtracted image.
     mask
         Bool (h, w), the pixels that count; all for None.
     """
@@ -164,8 +165,7 @@ def identify(
         taken = any(other is template or _same_place(match, place) for other, place, _ in chosen)
         if label and not taken:
             chosen.append((template, match, label))
-    shared = [label for _, _, label in chosen]
-    return list(_sightings(labels, regions, chosen, shared))
+    return list(_sightings(labels, regions, chosen))
 
 
 def _matches(image: Image, regions: Sequence[Region], template: Template, settings: IdentifierSettings) -> list[Match]:
@@ -197,26 +197,20 @@ def _same_place(a: Match, b: Match) -> bool:
 
 
 def _sightings(
-    labels: Labels, regions: Sequence[Region], chosen: Sequence[tuple[Template, Match, int]], shared: Sequence[int]
+    labels: Labels, regions: Sequence[Region], chosen: Sequence[tuple[Template, Match, int]]
 ) -> Iterator[Sighting]:
+    """Each match with its region; where several lie in one region, each has what its template covers of it."""
+    matches_in = Counter(label for _, _, label in chosen)
     for template, match, label in chosen:
         pixels = labels == label
         region = regions[label - 1]
-        if shared.count(label) > 1:  # touching objects: each has what its template covers
+        if matches_in[label] > 1:
             x, y, width, height = (round(v) for v in (match.x, match.y, match.width, match.height))
             box = np.zeros_like(pixels)
             box[max(y, 0) : y + height, max(x, 0) : x + width] = True
             pixels = pixels & box
-            region = _measured(pixels)
+            _, (region,) = measured_regions(pixels.astype(np.int32))
         yield Sighting(template.label, match, region, pixels)
-
-
-def _measured(pixels: Mask) -> Region:
-    """A set of pixels as one region."""
-    rows, columns = np.nonzero(pixels)
-    left, top = int(columns.min()), int(rows.min())
-    size = int(columns.max()) - left + 1, int(rows.max()) - top + 1
-    return Region(1, len(rows), (float(columns.mean()), float(rows.mean())), (left, top, *size))
 
 
 def cut_templates(
@@ -388,7 +382,7 @@ def opaque_part(label: str, picture: npt.ArrayLike) -> tuple[Image, Mask | None]
 
 
 def _given(label: str, picture: Image) -> Template:
-    """A picture of an object as a template: its gray levels, and its opaque pixels."""
+    """A picture of an object as a template: its grey levels, and its opaque pixels."""
     colours, opaque = opaque_part(label, picture)
     return Template(label, to_grey(colours), opaque)
 

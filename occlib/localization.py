@@ -87,7 +87,7 @@ def find_regions(
     if join and count > 2:
         bridged = _components(_bridge(pixels[window], join))[1]
         found = _joined(found, count, [bridged, *(_open_rim(other)[window] for other in within)])
-    labels[window], regions = _measured(found, min_area, left, top)
+    labels[window], regions = measured_regions(found, min_area, left, top)
     return labels, regions
 
 
@@ -127,7 +127,9 @@ def split_regions(
     count, found = _components((core[window] & (inner > 0)).view(np.uint8), cv2.CCL_WU) if width else (1, inner)
     if count <= len(regions) + 1 and len(set(inner[found > 0].tolist())) == count - 1:
         return labels, regions
-    cores, parts = _measured(_joined(found, count, [inner, *(_open_rim(view)[window] for view in within)]), min_area)
+    cores, parts = measured_regions(
+        _joined(found, count, [inner, *(_open_rim(view)[window] for view in within)]), min_area
+    )
     owner = [int(inner[cores == part.label][0]) for part in parts]
     split = sorted({label for label in owner if owner.count(label) > 1})
     if not split:
@@ -140,13 +142,33 @@ def split_regions(
         iy, ix = distance_transform_edt(nearest == 0, return_distances=False, return_indices=True)
         inside = labels == region
         divided[inside] = len(regions) + nearest[iy[inside], ix[inside]]
-    return _measured(divided, 1)
+    return measured_regions(divided, 1)
 
 
-def _measured(
-    found: npt.NDArray[np.int32], min_area: float, left: int = 0, top: int = 0
+def measured_regions(
+    found: npt.NDArray[np.int32], min_area: float = 1, left: int = 0, top: int = 0
 ) -> tuple[npt.NDArray[np.int32], list[Region]]:
-    """Drop the small ones of numbered regions, number the others 1, 2, ... and measure them."""
+    """Drop the small ones of numbered regions, number the others 1, 2, ... and measure them.
+
+    Parameters
+    ----------
+    found
+        int32 (H, W), 0 background, else the number of the pixel's region, which need not be connected.
+    min_area
+        Regions of fewer px are dropped.
+    left, top
+        Where ``found`` lies in the whole picture, in px.
+
+    Returns
+    -------
+    labels, regions
+        The new numbers, int32 (H, W), and one ``Region`` for each.
+
+    Examples
+    --------
+    >>> measured_regions(np.array([[2, 0, 2], [0, 0, 2]], np.int32))[1]
+    [Region(label=1, area=3, centroid=(1.33..., 0.33...), box=(0, 0, 3, 2))]
+    """
     labels = np.zeros_like(found)
     regions: list[Region] = []
     for value, box in enumerate(find_objects(found), start=1):

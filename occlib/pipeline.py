@@ -15,7 +15,7 @@ import numpy.typing as npt
 from tqdm import tqdm
 
 from occlib.base.arrays import Image, Mask
-from occlib.finding import FloorViews, Found, Instant, confirmed_only
+from occlib.finding import Finder, FloorViews, Found, Instant, confirmed_only
 from occlib.foreground.background import Background, as_background, average_background
 from occlib.foreground.health import CameraMonitor
 from occlib.foreground.learning import learn_background
@@ -109,7 +109,7 @@ class Pipeline:
             check_size(background.image, rig[name].size, f"background of {name}")
         self.monitor = CameraMonitor(self.backgrounds)
         self.floor_views = FloorViews(rig)
-        self.finder = settings.finder.build(self.floor_views, self.backgrounds, templates or {})
+        self.finder: Finder = settings.finder.build(self.floor_views, self.backgrounds, templates or {})
         self.tracker = Tracker(settings.tracker)
 
     def process(self, images: Mapping[str, Image | None], time: float) -> FrameResult:

@@ -61,7 +61,7 @@ PROFILES = {
         TrackerSettings(),
     ),
 }
-"""``paper``: the paper's chain to the letter: gray difference, smoothing, Otsu; SSD identification and size in each view; AND, centroid,
+"""``paper``: the paper's chain to the letter: grey difference, smoothing, Otsu; SSD identification and size in each view; AND, centroid,
 vectors. What the paper leaves open is said in :mod:`occlib.identification`; the noise floor, below which nothing is an
 object, and how vectors are joined from frame to frame (:mod:`occlib.tracking`) are ours.
 ``and``: the AND rule with what helps it most: colour, half of Otsu, fragments joined, neighbours parted, ghosts dropped.
@@ -92,9 +92,7 @@ def settings_for(
     >>> settings_for(**{"finder.cost": 0.2}).finder.search.cost
     0.2
     """
-    if profile not in PROFILES:
-        raise ValueError(f"profile: expected one of {', '.join(PROFILES)}, got {profile!r}")
-    settings = PROFILES[profile]
+    settings = PROFILES[checks.choice("profile", profile, PROFILES)]
     if rule is not None:
         checks.choice("rule", rule, [*region_rules(), "explain"])
     if rule == "explain":

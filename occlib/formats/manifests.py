@@ -44,15 +44,22 @@ class RunManifest(Struct, frozen=True):
     metrics: list[Metric]
 
 
-class Batch(Struct, frozen=True):
-    """Hash of what a table of a sweep was made of, and of the table."""
-
-    made_of: Hash
-    sha256: Hash
-
-
 class SweepManifest(Struct, frozen=True):
-    """``OUT/manifest.json`` of a sweep: what it was made of, and its finished tables by their keys."""
+    """``OUT/manifest.json`` of a sweep: what its tables were made with; beside these fields the version of each library by its name.
 
-    inputs: dict[str, Any]
-    batches: dict[str, Batch]
+    Parameters
+    ----------
+    occlib
+        SHA-256 of the package.
+    methods
+        Names of the measures.
+    matchers
+        SHA-256 of the file of matchers of one's own; empty without.
+    recordings
+        SHA-256 of each recording by its name.
+    """
+
+    occlib: Hash
+    methods: list[str] = []
+    matchers: str = ""
+    recordings: dict[str, Hash] = {}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 
 import cv2
@@ -9,6 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from occlib.formats import SweepManifest, convert
 from occlib.matching import measures
 from occlib.study import sweeps, tables, trials
 from occlib.study import work as work_module
@@ -156,6 +158,8 @@ def test_a_sweep_writes_what_it_returns(tmp_path):
     ):  # fmt: skip
         assert (tmp_path / f"{name}.csv").read_text() == table.to_csv(index=False, lineterminator="\n")
         pd.testing.assert_frame_equal(getattr(found, name), table)
+    manifest = convert(json.loads((tmp_path / "manifest.json").read_text()), SweepManifest)
+    assert manifest.methods == ["zncc", "ssd"] and len(manifest.occlib) == 64 and manifest.recordings == {}
 
 
 def test_a_sweep_without_a_curve_leaves_no_picture_of_an_earlier_one(tmp_path):
