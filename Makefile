@@ -8,11 +8,11 @@ READY := .venv/.ready
 NOTEBOOKS := $(wildcard notebooks/*.ipynb)
 
 .DEFAULT_GOAL := help
-.PHONY: help setup reproduce test check lint format bench notebooks clean
+.PHONY: help setup reproduce test test-browser check lint format ledger bench book course clean
 
 help:  ## this list
-	@sed -n 's/^\([a-z]*\):.*## \(.*\)/  make \1|\2/p' Makefile | column -t -s '|' 2>/dev/null \
-		|| sed -n 's/^\([a-z]*\):.*## \(.*\)/  make \1: \2/p' Makefile
+	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  make \1|\2/p' Makefile | column -t -s '|' 2>/dev/null \
+		|| sed -n 's/^\([a-z-]*\):.*## \(.*\)/  make \1: \2/p' Makefile
 
 setup: $(READY)  ## create .venv with the exact versions of requirements.lock
 
@@ -32,27 +32,39 @@ test: lint  ## lint, then all tests, as many at a time as JOBS says
 check: lint  ## lint, then the tests that are not slow: within a minute, for daily use
 	$(BIN)/python -m pytest -n $(JOBS) -m 'not slow'
 
-lint: $(READY)  ## ruff, mypy, who imports whom, and no outputs stored in notebooks
+test-browser: $(READY)  ## the explorable, the book and JupyterLab in Chromium, after make book
+	@test -f docs/_build/html/index.html || { echo 'test-browser: there is no book; first: make book'; exit 1; }
+	OCCLIB_BROWSER=1 $(BIN)/python -m pytest tests/browser
+
+lint: $(READY)  ## ruff, mypy, who imports whom, spelling, and no outputs stored in notebooks
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
 	$(BIN)/mypy
 	$(BIN)/lint-imports --no-logo --no-cache
-	$(if $(NOTEBOOKS),$(BIN)/nbstripout --verify $(NOTEBOOKS))
+	$(BIN)/codespell
+	$(if $(NOTEBOOKS),$(BIN)/nbstripout --keep-id --verify $(NOTEBOOKS))
 
 format: $(READY)  ## format the code and strip the notebooks
 	$(BIN)/ruff check --fix
 	$(BIN)/ruff format
-	$(if $(NOTEBOOKS),$(BIN)/nbstripout $(NOTEBOOKS))
+	$(if $(NOTEBOOKS),$(BIN)/nbstripout --keep-id $(NOTEBOOKS))
+
+ledger: $(READY)  ## write the tables of the paper's verdicts in README and docs from docs/claims.yaml and metrics.csv
+	@$(BIN)/python -m occlib.course --ledger
 
 bench: $(READY)  ## cost of the pipeline, of the matching measures and of the broadcast
 	$(BIN)/python tests/bench_pipeline.py
 	$(BIN)/python tests/bench_matching.py
 	$(BIN)/python tests/bench_broadcast.py
 
-notebooks: $(READY)  ## make the student copies, without solutions, in runs/student
-	@$(BIN)/python -c 'from occlib.reproduce import student_copies; print(len(student_copies("runs/student")), "student copies in runs/student")'
-	@echo 'Open the notebooks:  $(BIN)/jupyter lab notebooks      the student copies:  $(BIN)/jupyter lab runs/student'
+book: $(READY)  ## make the book from the results of make reproduce, in docs/_build/html
+	@$(BIN)/python -m occlib.course.book
+	@echo 'Open  docs/_build/html/index.html'
 
-clean:  ## remove .venv, runs and caches; figures/ stays
+course: $(READY)  ## make the student copies, without solutions, in course/; a copy with work in it is kept
+	@$(BIN)/python -m occlib.course
+	@echo 'Open the chapters:  $(BIN)/jupyter lab notebooks      the student copies:  $(BIN)/jupyter lab course'
+
+clean:  ## remove .venv, runs and caches; figures/ and course/ stay
 	rm -rf .venv runs .mypy_cache .ruff_cache .pytest_cache .hypothesis
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
