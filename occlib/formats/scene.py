@@ -86,6 +86,8 @@ class SceneFile(_Strict, frozen=True):
     floor_board: FloorBoardEntry | None = None
     marks: Annotated[list[tuple[Number, Number]], Meta(description="a list of points [x, y] in m")] = []
     vinyl: Annotated[dict[str, Any], Meta(description="a mapping of what differs from the room's vinyl")] = {}
+    wood: Annotated[dict[str, Any], Meta(description="a mapping of what differs from the room's wood")] = {}
+    window: Annotated[dict[str, Any], Meta(description="a mapping of what differs from the room's window")] = {}
 
     def __post_init__(self) -> None:
         ids = [str(each.id) for each in self.objects]
@@ -117,6 +119,25 @@ class Vinyl(Struct, frozen=True):
     roughness: Positive
     ior: Positive
     tile: Positive
+
+
+class Wood(_Strict, frozen=True):
+    """A floor of varnished planks, along x: roughness (alpha) and refractive index of the coat, a plank's length and width in m."""
+
+    colour: RGB
+    roughness: Positive
+    ior: Positive
+    plank: Annotated[tuple[Length, Length], Meta(description="two lengths > 0")]
+
+
+class Window(_Strict, frozen=True):
+    """A rectangle of daylight in a wall: centre, width and height in m, the direction in which it shines in degrees from x, radiance."""
+
+    centre: Triple
+    size: Annotated[tuple[Length, Length], Meta(description="two lengths > 0")]
+    facing_deg: Number
+    radiance: Positive
+    colour: RGB = (255, 255, 255)
 
 
 class CeilingLight(Struct, frozen=True):
@@ -158,7 +179,7 @@ class RoomCamera(_Strict, frozen=True):
 
 
 class RoomFile(_Strict, frozen=True):
-    """The content of ``room.yaml``."""
+    """The content of ``room.yaml``. With ``wood``, planks take the place of the vinyl."""
 
     units: Annotated[Literal["m"], Meta(description="'m'")]
     floor: Annotated[RoomFloor, Meta(description="a mapping with 'x', 'y' and 'resolution'")]
@@ -168,3 +189,7 @@ class RoomFile(_Strict, frozen=True):
     cameras: Annotated[dict[str, RoomCamera], Meta(description="a mapping of names to cameras")]
     sensor: Annotated[Sensor, Meta(description="a mapping with 'exposure', 'vignetting' and others")]
     furniture: Annotated[list[PartEntry], Meta(description="a list of parts")] = []
+    wood: Annotated[Wood | None, Meta(description="a mapping with 'colour', 'roughness', 'ior' and 'plank'")] = None
+    window: Annotated[
+        Window | None, Meta(description="a mapping with 'centre', 'size', 'facing_deg' and 'radiance'")
+    ] = None

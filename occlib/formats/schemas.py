@@ -10,6 +10,7 @@ from typing import Any
 import msgspec
 
 from occlib.base.files import write_file
+from occlib.formats.claims import Claim
 from occlib.formats.manifests import LabManifest, RunManifest, SweepManifest
 from occlib.formats.message import Header
 from occlib.formats.objects import ObjectsLine
@@ -27,6 +28,7 @@ SCHEMAS: dict[str, Any] = {
     "lab_manifest": LabManifest,
     "run_manifest": RunManifest,
     "sweep_manifest": SweepManifest,
+    "claims": list[Claim],
 }
 """What is written as a JSON Schema: name of the file, and the structure. ``objects`` is one line of ``objects.jsonl``."""
 

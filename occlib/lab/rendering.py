@@ -23,6 +23,7 @@ from occlib.base import checks
 from occlib.base.arrays import FloatArray, Image, Mask
 from occlib.base.extras import MissingExtraError, check_extra, import_extra
 from occlib.base.files import encode_image, staged_folder, write_file
+from occlib.formats.scene import Window
 from occlib.geometry import Camera, Rig
 from occlib.lab.scenes import BOARD_PATTERN, Board, Scene, floor_board
 from occlib.lab.shapes import Part, hit_distance, unit_mesh
@@ -81,6 +82,30 @@ def vinyl_texture(colour: Iterable[float], cells: int = 700) -> FloatArray:
     return np.asarray(tile)
 
 
+def wood_texture(
+    colour: Iterable[float], size: tuple[float, float], plank: tuple[float, float], *, cell: float = 0.004
+) -> FloatArray:
+    """A floor of planks along x, linear RGB (rows, columns, 3): each plank of its own shade, with grain and a dark seam.
+
+    ``size`` of the floor, ``plank`` (length and width) and ``cell`` in m. Neighbouring rows of planks are staggered.
+    """
+    rng = np.random.default_rng(1926)
+    columns, rows = round(size[0] / cell), round(size[1] / cell)
+    length, width = max(2, round(plank[0] / cell)), max(2, round(plank[1] / cell))
+    row, column = np.mgrid[:rows, :columns]
+    line = row // width
+    along = column + (rng.integers(0, length, line.max() + 1))[line]
+    shades = rng.normal(0, 1, (line.max() + 1, along.max() // length + 1))[line, along // length]
+    grain = np.zeros((rows, columns))
+    for across, lengthwise, sigma in ((3, 150, 0.06), (1.5, 60, 0.06), (8, 400, 0.05)):  # cells of one streak
+        noise = rng.normal(0, sigma, (max(2, round(rows / across)), max(2, round(columns / lengthwise))))
+        grain += cv2.resize(noise, (columns, rows), interpolation=cv2.INTER_CUBIC)
+    warm = np.array([0.9, 1.0, 1.15])  # a dark plank is browner, a light one paler
+    floor = np.array(to_linear(colour)) * np.exp((0.11 * shades + grain)[..., None] * warm)
+    floor[(row % width == 0) | (along % length == 0)] *= 0.45
+    return np.clip(floor, 0, 1)
+
+
 def denoise(layers: npt.NDArray[np.float32]) -> FloatArray:
     """Linear RGB (H, W, 3) from noisy colour, albedo and normal (H, W, 9), by Open Image Denoise."""
     import pyoidn
@@ -107,15 +132,8 @@ class Studio:
     def _description(self) -> dict[str, Any]:
         mi, room = self.mi, self.room
         (x0, x1), (y0, y1), height = room.walls.x, room.walls.y, room.walls.height
-        light, vinyl, to = room.ceiling_light, room.vinyl, mi.ScalarTransform4f
+        light, to = room.ceiling_light, mi.ScalarTransform4f
         middle, half = [(x0 + x1) / 2, (y0 + y1) / 2], [(x1 - x0) / 2, (y1 - y0) / 2]
-        tiles = to().scale([2 * half[0] / vinyl.tile, 2 * half[1] / vinyl.tile, 1])
-        texture = {
-            "type": "bitmap",
-            "bitmap": mi.Bitmap(vinyl_texture(vinyl.colour).astype(np.float32)),
-            "raw": True,
-            "to_uv": tiles,
-        }
         wall = self._matte(room.walls.colour)
         walls = Part("box", (middle[0], middle[1], height / 2), (2 * half[0], 2 * half[1], height), (0, 0, 0))
         world: dict[str, Any] = {
@@ -123,13 +141,7 @@ class Studio:
             "floor": {
                 "type": "rectangle",
                 "to_world": to().translate([*middle, 0]).scale([*half, 1]),
-                "bsdf": {
-                    "type": "roughplastic",
-                    "distribution": "ggx",
-                    "alpha": vinyl.roughness,
-                    "int_ior": vinyl.ior,
-                    "diffuse_reflectance": texture,
-                },
+                "bsdf": self._floor_coat((2 * half[0], 2 * half[1])),
             },
             "light": {
                 "type": "rectangle",
@@ -145,6 +157,8 @@ class Studio:
             # The floor rectangle lies a hair above the bottom of the box that makes the walls.
             "walls": self._mesh("walls", "box", shift(walls.matrix, -0.001), wall),
         }
+        if room.window is not None:
+            world["window"] = self._window(room.window)
         for i, part in enumerate(self.scene.furniture):
             world[f"furniture{i}"] = self._mesh(f"f{i}", part.shape, part.matrix, self._matte(part.colour))
         for i, (x, y) in enumerate(self.scene.marks):  # crosses of tape
@@ -158,6 +172,39 @@ class Studio:
         if self.scene.boards or self.scene.floor_board:
             world["board"] = self._board()
         return world
+
+    def _floor_coat(self, size: tuple[float, float]) -> dict[str, Any]:
+        """The glossy floor, ``size`` in m: planks if the room has wood, else tiles of vinyl."""
+        wood, vinyl = self.room.wood, self.room.vinyl
+        if wood is not None:
+            picture, repeat = wood_texture(wood.colour, size, wood.plank), [1.0, 1.0, 1]
+        else:
+            picture, repeat = vinyl_texture(vinyl.colour), [size[0] / vinyl.tile, size[1] / vinyl.tile, 1]
+        coat = wood or vinyl
+        return {
+            "type": "roughplastic",
+            "distribution": "ggx",
+            "alpha": coat.roughness,
+            "int_ior": coat.ior,
+            "diffuse_reflectance": {
+                "type": "bitmap",
+                "bitmap": self.mi.Bitmap(picture.astype(np.float32)),
+                "raw": True,
+                "to_uv": self.mi.ScalarTransform4f().scale(repeat),
+            },
+        }
+
+    def _window(self, window: Window) -> dict[str, Any]:
+        width, height = window.size
+        place = self.mi.ScalarTransform4f().translate(list(window.centre)).rotate([0, 0, 1], window.facing_deg)
+        return {
+            "type": "rectangle",
+            "to_world": place.rotate([0, 1, 0], 90).scale([height / 2, width / 2, 1]),
+            "emitter": {
+                "type": "area",
+                "radiance": {"type": "rgb", "value": [window.radiance * c for c in to_linear(window.colour)]},
+            },
+        }
 
     def _matte(self, colour: Iterable[float]) -> Any:
         diffuse = {"type": "diffuse", "reflectance": {"type": "rgb", "value": to_linear(colour)}}
@@ -276,9 +323,14 @@ class Studio:
         return picture
 
     def _touched(self, name: str, frame: int, board: Board | None = None) -> Mask:
-        """Pixels (H, W) that show an object or the floor near it (0.7 heights + 0.2 m), or a board."""
+        """Pixels (H, W) that show an object or the floor near it (0.7 heights + 0.2 m), or a board.
+
+        All of them where a window shines in from the side: shadows are long then.
+        """
         camera = self.cameras[name]
         width, height = camera.size
+        if self.room.window is not None:
+            return np.ones((height, width), bool)
         rays = self.scene.rays[name]
         if name not in self._floor:
             with np.errstate(divide="ignore"):

@@ -147,7 +147,8 @@ def load_scene(source: str | Path) -> Scene:
     path = path / "scene.yaml" if path.is_dir() else path
     content = _read(path, SceneFile, "scene")
     room_path = path.parent / content.room
-    room = _read(room_path, RoomFile, room_path.name, vinyl=content.vinyl)
+    changes = {name: getattr(content, name) for name in ("vinyl", "wood", "window")}
+    room = _read(room_path, RoomFile, room_path.name, changes=changes)
     try:
         rig = _rig(room, content.cameras)
         return Scene(
@@ -169,11 +170,12 @@ def load_scene(source: str | Path) -> Scene:
         raise ValueError(f"{path}: {error}") from None
 
 
-def _read(path: Path, kind: type[T], name: str, *, vinyl: Mapping[str, Any] | None = None) -> T:
-    """A YAML file as a structure; ``vinyl`` replaces fields of its mapping of that name."""
+def _read(path: Path, kind: type[T], name: str, *, changes: Mapping[str, Mapping[str, Any]] | None = None) -> T:
+    """A YAML file as a structure; ``changes`` replace fields of its mappings of those names, or bring such a mapping."""
     content = read_yaml(path)
-    if vinyl and isinstance(content, Mapping) and isinstance(content.get("vinyl"), Mapping):
-        content = {**content, "vinyl": {**content["vinyl"], **vinyl}}
+    for key, fields in (changes or {}).items():
+        if fields and isinstance(content, Mapping) and isinstance(content.get(key) or {}, Mapping):
+            content = {**content, key: {**(content.get(key) or {}), **fields}}
     try:
         return convert(content, kind, name, inside="", strict=False)
     except ValueError as error:
