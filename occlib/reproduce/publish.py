@@ -17,8 +17,10 @@ from typing import TYPE_CHECKING, Any
 
 from occlib.base.files import staged_folder, write_file
 from occlib.reproduce.agreement import figure_agrees, metric_agrees, row_stays
+from occlib.reproduce.notebook import recorded_now
 from occlib.reproduce.runner import (
     COLUMNS,
+    IMAGE_DESCRIPTION,
     Metrics,
     Run,
     execute,
@@ -31,6 +33,15 @@ from occlib.reproduce.runner import (
 
 if TYPE_CHECKING:
     import pandas as pd
+
+SUFFIXES = (".png", ".webp")
+"""Of figures, and of figures that move."""
+
+
+def recorded_metrics(root: str | Path) -> dict[str, float]:
+    """What is known now: the published numbers by their key ``NN/name``, and those that the notebook that calls this has recorded."""
+    rows = [*published_metrics(Path(root)), *recorded_now()]
+    return {f"{row['notebook'][:2]}/{row['metric']}": float(row["value"]) for row in rows}
 
 
 @dataclass(frozen=True)
@@ -122,18 +133,22 @@ def reproduce(
 
 
 def _published_figures(home: Path) -> dict[str, str]:
-    """File name of each PNG in ``figures/`` that :func:`save` made, and the notebook it came from."""
+    """File name of each figure in ``figures/`` that :func:`save` or :func:`save_film` made, and its notebook."""
     from PIL import Image
 
     owners = {}
-    for path in sorted((home / "figures").glob("*.png")):
-        with suppress(OSError), Image.open(path) as image:
-            if owner := image.info.get("Source"):
+    for path in sorted(path for path in (home / "figures").glob("*") if path.suffix in SUFFIXES):
+        with (
+            suppress(OSError, SyntaxError, ValueError),
+            Image.open(path) as image,
+        ):  # what Pillow says of a damaged file
+            if owner := image.info.get("Source") or image.getexif().get(IMAGE_DESCRIPTION):
                 owners[path.name] = str(owner)
     return owners
 
 
-def _published_metrics(home: Path) -> Metrics:
+def published_metrics(home: Path) -> Metrics:
+    """The rows of ``figures/metrics.csv``; none without that file."""
     path = home / "figures" / "metrics.csv"
     if not path.exists():
         return []
@@ -159,7 +174,7 @@ def _figures(home: Path, runs: Sequence[Run]) -> tuple[dict[str, Path], list[str
     owners = {name: owner for name, owner in published.items() if owner in others}
     made: dict[str, Path] = {}
     for run in runs:
-        for name in (name for name in run.manifest["files"] if name.endswith(".png")):
+        for name in (name for name in run.manifest["files"] if name.endswith(SUFFIXES)):
             if owners.setdefault(name, run.notebook) != run.notebook:
                 raise ValueError(f"figure {name}: both {owners[name]} and {run.notebook} make it")
             made[name] = run.folder / name
@@ -190,7 +205,7 @@ def _publish(home: Path, runs: Sequence[Run]) -> list[str]:
 
 def _table(home: Path, runs: Sequence[Run]) -> str:
     """``metrics.csv`` as it should be: other notebooks' rows as they are, and of ``runs`` those that agree, too."""
-    published = {order(row): row for row in _published_metrics(home)}
+    published = {order(row): row for row in published_metrics(home)}
     others = {path.stem for path in select_notebooks(None, home)} - {run.notebook for run in runs}
     rows = [row for row in published.values() if row["notebook"] in others]
     for row in (row for run in runs for row in run.metrics):
@@ -206,7 +221,7 @@ def _table(home: Path, runs: Sequence[Run]) -> str:
 def _differences(home: Path, runs: Sequence[Run]) -> list[str]:
     """One line for each metric that is out of tolerance, new or missing, and each figure new or missing."""
     others = {path.stem for path in select_notebooks(None, home)} - {run.notebook for run in runs}
-    published = {order(row): row for row in _published_metrics(home) if row["notebook"] not in others}
+    published = {order(row): row for row in published_metrics(home) if row["notebook"] not in others}
     fresh = {order(row): row for run in runs for row in run.metrics}
     lines = []
     for key in sorted(published | fresh):

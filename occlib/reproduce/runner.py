@@ -43,6 +43,9 @@ _ONE_THREAD = (
 Metrics = list[dict[str, str]]
 """Rows of ``metrics.csv``, each with :data:`COLUMNS`, all values as text."""
 
+IMAGE_DESCRIPTION = 0x010E
+"""The Exif field of a film that names the notebook that made it; a PNG says so in its text ``Source``."""
+
 COLUMNS = ("notebook", "metric", "value", "unit", "tolerance")
 
 
@@ -171,8 +174,17 @@ def plan_runs(home: Path, notebooks: Iterable[str | Path] | None, given: Mapping
         suffix = "" if not overrides else "__fast" if list(overrides) == ["fast"] else f"__{mark}"
         source = path.read_bytes()
         inputs = {"parameters": chosen, "notebook_sha256": sha256(source), **shared}
+        if b"load_claims" in source:
+            inputs["ledger_sha256"] = _ledger_hash(home, path.stem)
         runs.append(Run(path.stem, source, overrides, inputs, home / "runs" / f"{path.stem}{suffix}"))
     return runs
+
+
+def _ledger_hash(home: Path, notebook: str) -> str:
+    """Of what a chapter that shows the ledger reads besides: the claims, and the numbers that the others have published."""
+    files = [path for path in (home / "docs/claims.yaml", home / "figures/metrics.csv") if path.exists()]
+    lines = [line for path in files for line in path.read_text(encoding="utf-8").splitlines()]
+    return sha256("\n".join(line for line in lines if not line.startswith(f"{notebook},")))
 
 
 def is_current(run: Run) -> bool:
@@ -228,6 +240,7 @@ def _start(run: Run, work: Path) -> subprocess.Popen[bytes]:
     python_path = os.pathsep.join(filter(None, [str(PACKAGE.parent), os.environ.get("PYTHONPATH")]))
     environment = os.environ | dict.fromkeys(_ONE_THREAD, "1")
     environment |= {"OCCLIB_RUN_DIR": str(results), "PYTHONPATH": python_path, "PYTHONHASHSEED": "0"}
+    environment["OCCLIB_OWN_PARAMETERS"] = str(int(set(run.overrides) <= {"fast"}))
     environment |= {"OCCLIB_LAB": str(LAB), "MPLBACKEND": "module://matplotlib_inline.backend_inline"}
     own = {"MATPLOTLIBRC": "cwd/matplotlibrc", "JUPYTER_PATH": "jupyter", "JUPYTER_CONFIG_DIR": "config"}
     own |= {"JUPYTER_RUNTIME_DIR": "runtime", "IPYTHONDIR": "ipython"} | dict.fromkeys(("TMPDIR", "TMP", "TEMP"), ".")
@@ -242,7 +255,11 @@ def _start(run: Run, work: Path) -> subprocess.Popen[bytes]:
 def _work(folder: str, output: str, parameters: str) -> None:
     """The process of one notebook: papermill, and the reason in ``error.json`` where a cell failed."""
     import papermill
+    from nbclient import NotebookClient
 
+    # nbclient answers an Output widget (a slider has one) on the channel that it waits on for the cell's end; now and
+    # then it misses that end and waits for ever. Without an answer the slider's picture is an output as any other.
+    NotebookClient.on_comm_open_jupyter_widget = lambda self, msg: None  # type: ignore[method-assign]
     work = Path(folder)
     options = {"kernel_name": "python3", "language": "python", "progress_bar": False, "cwd": work / "cwd"}
     try:

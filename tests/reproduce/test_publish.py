@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import csv
 import io
 import json
@@ -30,7 +31,6 @@ from occlib.reproduce import notebook as notebook_module
 from occlib.reproduce.agreement import row_stays
 from occlib.reproduce.notebook import record, save
 from occlib.reproduce.publish import reproduce
-from occlib.reproduce.students import student_copies, student_copy
 
 nbformat = lazy_loader.load("nbformat")  # it takes a second, and these tests are slow ones
 pytestmark = pytest.mark.slow
@@ -192,6 +192,17 @@ def test_notebook_is_alone_with_one_thread(project: Path, monkeypatch: pytest.Mo
     assert results == {"interpreter": 1, "files": 0, "threads": 1, "width": 1.5, "seed": 7, "scale": 2}
     assert not (project / "figures").exists()
     assert [folder.name[:10] for folder in (project / "runs").iterdir()] == ["05_alone__"]
+
+
+def test_the_picture_of_a_slider_is_an_output_of_its_cell(project: Path) -> None:
+    """Not one that only the widget holds: with widgets answered, the runner sometimes waited for ever."""
+    slide = (
+        "from matplotlib import pyplot as plt\nfrom ipywidgets import interact\ninteract(lambda x: plt.plot([x]), x=3)"
+    )
+    write_notebook(project, "01_slide", slide + "\nplt.show()", MEASURE, parameters=PARAMETERS)
+    executed = json.loads((run(project).runs[0].folder / "01_slide.ipynb").read_text())
+    (cell,) = (cell for cell in executed["cells"] if "interact" in "".join(cell["source"]))
+    assert [output for output in cell["outputs"] if "image/png" in output.get("data", {})]
 
 
 def test_fast_is_not_published(copy: Path) -> None:
@@ -530,7 +541,8 @@ def test_record_keeps_ten_digits_and_plain_numbers(notebook: Path) -> None:
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, [1, 2], "1", None])
-def test_record_refuses_what_is_not_a_number(notebook: Path, value: object) -> None:
+def test_record_refuses_what_is_not_a_number(notebook: Path, value: object, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("OCCLIB_OWN_PARAMETERS", "1")
     with pytest.raises(ValueError, match="record: x: expected one finite number"):
         record("x", value)  # type: ignore[arg-type]
 
@@ -571,24 +583,129 @@ def test_show_versions(capsys: pytest.CaptureFixture[str]) -> None:
     assert capsys.readouterr().out.startswith("occlib 0.1.0, cv2 ")
 
 
-# --- student copies
+# --- films
 
 
-def test_student_copy_has_no_solution(project: Path) -> None:
-    path = write_notebook(project, "01_x", "1 + 1", "the_answer = 'forty-two'", "2 + 2")
-    master = nbformat.read(path, as_version=4)
-    master.cells[4].metadata["tags"] = ["solution"]
-    master.cells[3].outputs = [nbformat.v4.new_output("stream", text="2")]
-    master.cells.append(nbformat.v4.new_markdown_cell("Because of forty-two.", metadata={"tags": ["solution"]}))
-    nbformat.write(master, path)
-    before = path.read_bytes()
-    (copied,) = student_copies(project / "runs/student", root=project)
-    text = copied.read_text()
-    assert "forty-two" not in text and path.read_bytes() == before
-    student = nbformat.read(copied, as_version=4)
-    nbformat.validate(student)
-    sources = [cell.source for cell in student.cells]
-    assert sources[3:] == ["1 + 1", "# Your solution here", "2 + 2", "*Your answer here.*"]
-    assert student.cells[3].outputs == [] and student.cells[2].metadata.tags == ["parameters"]
-    with pytest.raises(ValueError, match="cannot read"):
-        student_copy(project / "notebooks/99.ipynb", project / "x.ipynb")
+def film(shift: int = 0, shade: int = 200) -> list[np.ndarray[Any, Any]]:
+    """Three frames with a square of 16 px that moves."""
+    frames = np.full((3, 90, 120, 3), shade, np.uint8)
+    for i, frame in enumerate(frames):
+        frame[30:46, 20 + 20 * i + shift : 36 + 20 * i + shift] = (200, 30, 30)
+    return list(frames)
+
+
+@pytest.fixture
+def saved_film(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Path]:
+    """Save a film as the notebook ``name`` would: its path."""
+
+    def save(name: str, frames: list[np.ndarray[Any, Any]]) -> Path:
+        folder = tmp_path / name / "01_draw"
+        folder.mkdir(parents=True)
+        monkeypatch.setenv("OCCLIB_RUN_DIR", str(folder))
+        shown = notebook_module.save_film(frames, "film", fps=5)._repr_html_()
+        assert base64.b64encode((folder / "film.webp").read_bytes()).decode() in shown and "<img alt=" in shown
+        return folder / "film.webp"
+
+    return save
+
+
+def test_a_film_moves_and_says_whose_it_is(saved_film: Callable[..., Path]) -> None:
+    path = saved_film("a", film())
+    with Image.open(path) as found:
+        found.load()
+        assert (found.n_frames, found.info["duration"], found.info["loop"]) == (3, 200, 0)  # type: ignore[attr-defined]
+        assert found.getexif()[runner.IMAGE_DESCRIPTION] == "01_draw"
+    (path.parents[1] / "figures").mkdir()
+    shutil.copy(path, path.parents[1] / "figures")
+    assert publish._published_figures(path.parents[1]) == {"film.webp": "01_draw"}
+    with pytest.raises(ValueError, match="film 'film' was saved before"):
+        notebook_module.save_film(film(), "film")
+
+
+@pytest.mark.parametrize("frames", [[], [*film()[:1], film()[1][:50]]], ids=["none", "of two sizes"])
+def test_a_film_of_nothing_is_refused(saved_film: Callable[..., Path], frames: Any) -> None:
+    with pytest.raises(ValueError, match="expected pictures of one size"):
+        saved_film("a", frames)
+
+
+@pytest.mark.parametrize(
+    ("frames", "fps", "message"),
+    [
+        ([film()[0] / 255.0], 5, "frames: expected RGB uint8"),
+        ([film()[0][..., 0]], 5, "frames: expected RGB uint8"),
+        (film(), 0, "fps: expected frames a second from 0.1 to 1000, got 0"),
+        (film(), float("nan"), "fps: expected frames a second from 0.1 to 1000, got nan"),
+    ],
+)
+def test_what_is_no_film_is_refused_in_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, frames: Any, fps: float, message: str
+) -> None:
+    monkeypatch.setenv("OCCLIB_RUN_DIR", str(tmp_path))
+    with pytest.raises(ValueError, match=f"^save_film: {message}"):
+        notebook_module.save_film(frames, "film", fps=fps)
+
+
+def test_without_webp_the_reason_is_told(saved_film: Callable[..., Path], monkeypatch: pytest.MonkeyPatch) -> None:
+    from PIL import features
+
+    monkeypatch.setattr(features, "check", lambda name: False)
+    with pytest.raises(ValueError, match=r"^save_film: this Pillow cannot write WebP"):
+        saved_film("a", film())
+
+
+def test_a_damaged_film_belongs_to_nobody_and_agrees_with_none(saved_film: Callable[..., Path]) -> None:
+    good = saved_film("a", film())
+    home = good.parents[1]
+    damaged = home / "figures/film.webp"
+    damaged.parent.mkdir()
+    content = bytearray(good.read_bytes())
+    content[content.index(b"EXIF") + 8] ^= 0xFF
+    for broken in (bytes(content), good.read_bytes()[:40]):
+        damaged.write_bytes(broken)
+        assert publish._published_figures(home) == {}
+    assert not agreement.figure_agrees(good, damaged)
+
+
+def test_films_agree_frame_by_frame(saved_film: Callable[..., Path]) -> None:
+    one = saved_film("a", film())
+    assert agreement.figure_agrees(one, saved_film("b", film()))
+    assert not agreement.figure_agrees(one, saved_film("moved", [film()[0], *film(shift=12)[1:]]))
+    assert not agreement.figure_agrees(one, saved_film("shorter", film()[:2]))
+    assert not agreement.figure_agrees(one, saved_film("paler", film(shade=202)))
+    one.write_bytes(b"damaged")
+    assert not agreement.figure_agrees(one, saved_film("c", film()))
+
+
+# --- what a cell shows
+
+
+def outputs_of(project: Path, name: str) -> list[list[str]]:
+    """The kinds of data that each code cell of an executed notebook shows."""
+    cells = nbformat.read(project / f"runs/{name}/{name}.ipynb", as_version=4).cells
+    return [[kind for output in cell.outputs for kind in output.get("data", {})] for cell in cells
+            if cell.cell_type == "code"]  # fmt: skip
+
+
+def test_a_saved_figure_is_shown_once_whoever_made_it(project: Path) -> None:
+    bare = "fig = Figure(figsize=(3, 2))\nfig.add_subplot().plot([0, 1])\nsave(fig, 'bare')"
+    pyplots = "from matplotlib import pyplot as plt\nfig, ax = plt.subplots()\nsave(fig, 'pyplots')"
+    write_notebook(project, "01_x", bare, pyplots, bare.replace("'bare'", "'again'"))
+    run(project)
+    shown = outputs_of(project, "01_x")[2:]
+    assert [[kind for kind in kinds if kind == "image/png"] for kinds in shown] == [["image/png"]] * 3
+
+
+def test_what_the_text_says_is_asked_of_its_own_parameters_only(project: Path) -> None:
+    write_notebook(
+        project,
+        "01_x",
+        "from occlib.reproduce import expect",
+        "expect(seed == 0); record('gap', 1 / 3 if seed == 0 else float('nan'))",
+    )
+    run(project)
+    (changed,) = run(project, parameters={"seed": 1}).runs
+    cells = nbformat.read(changed.folder / "01_x.ipynb", as_version=4).cells
+    assert "does not hold" in cells[-1].outputs[0].text and "not recorded: gap is nan" in cells[-1].outputs[0].text
+    write_notebook(project, "01_x", "from occlib.reproduce import expect", "expect(seed == 1)")
+    with pytest.raises(ValueError, match="does not hold in this run"):
+        run(project)
