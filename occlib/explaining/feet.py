@@ -149,7 +149,7 @@ def standing_points(
     are.
 
     A person, a cylinder of 1.4 m or more, leans, and stands where the legs are: its point is the one that agrees best
-    with its axis ``p`` and with the bearing ``a_k`` halfway between its feet in each view,
+    with its axis ``p`` and with the bearing ``a_k`` halfway between its feet in each view::
 
         argmin |x - p|^2 + sum over views of 4 s_k^2 (n_k . (x - c_k))^2,    n_k = (-sin a_k, cos a_k)
 

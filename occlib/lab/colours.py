@@ -10,11 +10,11 @@ import numpy as np
 
 from occlib.base.arrays import Image, Mask
 from occlib.explaining import axis_colours, colour_agreement
-from occlib.formats import TrueObject
+from occlib.formats import TrueObject, load_truth
 from occlib.geometry import Rig, apply_homography
 from occlib.lab.ghosts import LEAST_AREA_M2
 from occlib.lab.scenes import load_scene
-from occlib.lab.truth import ground_truth, silhouettes
+from occlib.lab.truth import silhouettes
 from occlib.localization import find_regions
 from occlib.recordings import open_recording
 from occlib.registration import FloorWarp
@@ -38,17 +38,16 @@ def colour_study(recording: str, frames: Iterable[int], *, height: float = 0.05)
 
     Returns
     -------
-    Rows ``{"frame", "cameras", "kind", "object", "x", "y", "disagreement"}``. ``kind``: ``"real, in plain
-    view"``, ``"real, partly hidden"`` (more than a tenth from one of the two cameras), ``"ghost"`` or ``"ghost to
-    be"``; m and grey levels.
+    list of dict
+        Rows with the keys ``frame``, ``cameras``, ``kind``, ``object``, ``x`` and ``y`` (m) and ``disagreement`` (grey
+        levels). The kinds are "real, in plain view", "real, partly hidden" (more than a tenth from one of the two
+        cameras), "ghost" and "ghost to be".
     """
     source, scene = open_recording(recording), load_scene(recording)
     rig, floor = source.rig, source.rig.floor
     warps = {name: FloorWarp(camera, floor) for name, camera in rig.cameras.items()}
-    truth, rows = ground_truth(scene, frames=frames).frames, []
-    for frame, images in source.images():
-        if frame not in truth:
-            continue
+    truth, rows = load_truth(source.path / "truth.json").frames, []
+    for frame, images in source.images(sorted(set(frames))):
         seen = silhouettes(scene, frame)
         views = {name: warps[name].warp(np.any([m for m, _ in seen[name].values()], axis=0)) for name in rig.cameras}
         for pair in combinations(rig.cameras, 2):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -204,6 +205,22 @@ def places_m(crowd: Sequence[SceneObject]) -> FloatArray:
     return as_points([each.pose(0)[:2] for each in crowd])
 
 
+@lru_cache(maxsize=4096)
+def base_m(scene_object: SceneObject) -> FloatArray:
+    """Footprint of an object that does not move, polygon (M, 2) in m, read-only: made once, as studies ask often."""
+    outline = scene_object.footprint(0)
+    outline.setflags(write=False)
+    return outline
+
+
+@lru_cache(maxsize=4096)
+def solid_m(scene_object: SceneObject) -> FloatArray:
+    """Vertices of an object that does not move, (N, 3) in m, read-only and made once."""
+    vertices = scene_object.vertices_m(0)
+    vertices.setflags(write=False)
+    return vertices
+
+
 def truth_of(crowds: Sequence[Sequence[SceneObject]]) -> Truth:
     """Where the crowds stand, a frame each, for :func:`occlib.metrics.evaluate`."""
     return Truth({i: [_true_object(each) for each in crowd] for i, crowd in enumerate(crowds)})
@@ -211,4 +228,4 @@ def truth_of(crowds: Sequence[Sequence[SceneObject]]) -> Truth:
 
 def _true_object(each: SceneObject) -> TrueObject:
     x, y, _ = each.pose(0)
-    return TrueObject(id=each.id, x=x, y=y, footprint=tuple(map(tuple, each.footprint(0).tolist())))
+    return TrueObject(id=each.id, x=x, y=y, footprint=tuple(map(tuple, base_m(each).tolist())))

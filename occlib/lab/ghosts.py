@@ -17,6 +17,7 @@ from scipy.spatial import ConvexHull
 
 from occlib.base.arrays import FloatArray, Mask, as_points
 from occlib.geometry import Camera, Floor, Rig
+from occlib.lab.crowds import base_m, solid_m
 from occlib.lab.scenes import SceneObject
 from occlib.lab.shapes import hit_distance
 from occlib.localization import find_regions
@@ -50,7 +51,7 @@ def shadow_outline_m(camera: Camera, scene_object: SceneObject) -> FloatArray:
 
     Raises ``ValueError`` if the object reaches up to the camera.
     """
-    points = scene_object.vertices_m(0)
+    points = solid_m(scene_object)
     x, y, high = camera.centre_m
     if points[:, 2].max() >= high:
         raise ValueError(f"scene_object: expected it below the camera at {high:.2f} m, got {points[:, 2].max():.2f} m")
@@ -106,7 +107,7 @@ def crossings(rig: Rig, crowd: Sequence[SceneObject], *, touch_m: float = 0.03) 
     if len(rig.cameras) != 2:
         raise ValueError(f"rig: expected two cameras, got {len(rig.cameras)}")
     first, second = ([shadow_outline_m(camera, each) for each in crowd] for camera in rig.cameras.values())
-    bases = [each.footprint(0) for each in crowd]
+    bases = [base_m(each) for each in crowd]
     wide = [_grown(base, touch_m) for base in bases]
     (x0, x1), (y0, y1) = rig.floor.x, rig.floor.y
     rim = np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]])
@@ -135,7 +136,7 @@ def _overlap(a: FloatArray, b: FloatArray) -> tuple[float, FloatArray]:
 
 
 def expected_crossings(rig: Rig, count: int, height: float) -> float:
-    """The law of crossings: how many shadows of thin objects at random places cross, on average.
+    """The law of crossings: how many pairs of shadows of thin objects at random places cross, on average.
 
     ``n (n - 1) (h / H)^2 b <y> / A``, with the distance ``b`` between the two cameras, the mean distance ``<y>`` of the
     floor from the line below them, and the floor's area ``A``.
@@ -149,10 +150,12 @@ def expected_crossings(rig: Rig, count: int, height: float) -> float:
 
     Notes
     -----
-    A shadow ends at a point p if its object stands up to ``d h / H`` before it, ``d`` being p's distance from the
-    camera. Two such sticks with the directions of the two cameras cross at p with the density ``d1 d2 (h / H)^2
-    sin(theta) / A^2``. But ``d1 d2 sin(theta)`` is twice the area of the triangle of p and the cameras: the base ``b``
-    times the height ``y``.
+    A thin object casts a thin shadow, which ends about ``d h / H`` behind it, ``d`` being the distance of the shadow's
+    end from the camera. Leave the shadow of one object from the second camera where it is and move another object: its
+    shadow from the first camera meets the resting one exactly while the object stands in the parallelogram of the two
+    shadows, of the area ``d1 d2 (h / H)^2 sin(theta)``. For a random place that has the probability area over ``A``.
+    And ``d1 d2 sin(theta)`` is twice the area of the triangle of the place and the two cameras: the base ``b`` times
+    the height ``y``. There are ``n (n - 1)`` ordered pairs of objects.
 
     Examples
     --------
@@ -174,5 +177,5 @@ def ghost_regions(occupied: Mask, crowd: Sequence[SceneObject], floor: Floor) ->
     labels, regions = find_regions(occupied, min_area=LEAST_AREA_M2 / floor.cell_area)
     real: set[int] = set()
     for each in crowd:
-        real |= set(labels[floor.polygon_mask(each.footprint(0))].tolist())
+        real |= set(labels[floor.polygon_mask(base_m(each))].tolist())
     return len(regions) - len(real - {0})

@@ -31,7 +31,7 @@ from occlib.base.extras import pandas as pd
 from occlib.base.intervals import t_interval
 from occlib.explaining import Cylinder, Explainer, footprints
 from occlib.geometry import Floor
-from occlib.lab.crowds import random_crowd, upright, wall_rig
+from occlib.lab.crowds import base_m, random_crowd, upright, wall_rig
 from occlib.lab.scenes import SceneObject
 from occlib.lab.simulation import Simulation, evidence_of, union
 from occlib.live import Listener, Publisher
@@ -57,7 +57,11 @@ STEP_S = 0.5
 
 
 TIME_LIMIT_S = 30.0
-"""A mission that takes longer is given up; so is one in which nobody has moved for a third of it."""
+"""When a mission is given up, unless told otherwise."""
+
+
+STANDSTILL_S = 2.0
+"""When nobody has moved for so long, maps and announcements repeat, and a mission is given up."""
 
 
 _ANSWER_S = 60.0
@@ -121,7 +125,6 @@ def random_mission(seed: int, *, robots: int = 3, obstacles: int = 5) -> Mission
     rng = np.random.default_rng([seed, robots, obstacles])
     for _ in range(1000):
         crowd = random_crowd(obstacles, rng, floor=MISSION_FLOOR, gap=0.1)
-        blocked = MISSION_FLOOR.near(_footprints(crowd), RADIUS_M + 0.15)
         inner = np.add([MISSION_FLOOR.x, MISSION_FLOOR.y], [0.3, -0.3])
         ends = rng.uniform(inner[:, 0], inner[:, 1], (2 * robots, 2))
         cells = np.rint(MISSION_FLOOR.cells(ends)).astype(int)
@@ -129,7 +132,10 @@ def random_mission(seed: int, *, robots: int = 3, obstacles: int = 5) -> Mission
             math.dist(a, b) for group in (ends[:robots], ends[robots:]) for i, a in enumerate(group) for b in group[:i]
         ]
         far = np.linalg.norm(ends[:robots] - ends[robots:], axis=1)
-        if blocked[cells[:, 1], cells[:, 0]].any() or min(apart, default=1.0) < 0.6 or far.min() < 1.5:
+        if min(apart, default=1.0) < 0.6 or far.min() < 1.5:
+            continue
+        blocked = MISSION_FLOOR.near(_footprints(crowd), RADIUS_M + 0.15)
+        if blocked[cells[:, 1], cells[:, 0]].any():
             continue
         ways = [plan(blocked, MISSION_FLOOR, a, b) for a, b in zip(ends[:robots], ends[robots:], strict=True)]
         if all(way is not None for way in ways):
@@ -138,8 +144,16 @@ def random_mission(seed: int, *, robots: int = 3, obstacles: int = 5) -> Mission
     raise ValueError(f"robots, obstacles: no room for {robots} and {obstacles}")
 
 
-def run_missions(missions: Sequence[Mission], maps: Sequence[str] = MAPS, *, progress: bool = False) -> list[Outcome]:
+def run_missions(
+    missions: Sequence[Mission],
+    maps: Sequence[str] = MAPS,
+    *,
+    time_limit_s: float = TIME_LIMIT_S,
+    progress: bool = False,
+) -> list[Outcome]:
     """Drive every mission on every kind of map, robots as processes that listen to a real socket.
+
+    A mission that takes longer than ``time_limit_s`` is given up; so is one in which nobody has moved for 2 s.
 
     Raises
     ------
@@ -161,7 +175,7 @@ def run_missions(missions: Sequence[Mission], maps: Sequence[str] = MAPS, *, pro
     with Publisher() as publisher, _robots(len(missions[0].starts), publisher.address) as robots:
         jobs = [(mission, kind) for mission in missions for kind in maps]
         bar = tqdm(jobs, unit="drive", disable=None if progress else True)
-        return [_drive(mission, kind, station, publisher, robots) for mission, kind in bar]
+        return [_drive(mission, kind, station, publisher, robots, time_limit_s) for mission, kind in bar]
 
 
 def summary(outcomes: Sequence[Outcome]) -> pd.DataFrame:
@@ -242,7 +256,7 @@ class _Station:
 def _footprints(crowd: Sequence[SceneObject]) -> Mask:
     """Cells under the objects."""
     return np.any(
-        [np.zeros(MISSION_FLOOR.shape, bool), *(MISSION_FLOOR.polygon_mask(each.footprint(0)) for each in crowd)],
+        [np.zeros(MISSION_FLOOR.shape, bool), *(MISSION_FLOOR.polygon_mask(base_m(each)) for each in crowd)],
         axis=0,
     )
 
@@ -251,7 +265,14 @@ def _bodies(positions: Sequence[Point]) -> list[SceneObject]:
     return [upright("cylinder", at, 2 * RADIUS_M, HEIGHT_M, name=f"robot{i}") for i, at in enumerate(positions)]
 
 
-def _drive(mission: Mission, kind: str, station: _Station, publisher: Publisher, robots: Sequence[_Robot]) -> Outcome:
+def _drive(
+    mission: Mission,
+    kind: str,
+    station: _Station,
+    publisher: Publisher,
+    robots: Sequence[_Robot],
+    limit_s: float = TIME_LIMIT_S,
+) -> Outcome:
     """One mission on one kind of map."""
     names, daring = list(range(len(mission.starts))), kind.endswith("unknown free")
     for k in names:
@@ -262,7 +283,7 @@ def _drive(mission: Mission, kind: str, station: _Station, publisher: Publisher,
     plans: list[dict[str, Any]] = [{"trajectory": [(0.0, *at)], "arrived": False} for at in mission.starts]
     positions, paths, blocked, now, moved = list(mission.starts), [[at] for at in mission.starts], [], 0.0, 0.0
     touched, first = set[tuple[int, int]](), None
-    while now < TIME_LIMIT_S and now - moved <= TIME_LIMIT_S / 3 and not all(p["arrived"] for p in plans):
+    while now < limit_s and now - moved <= STANDSTILL_S and not all(p["arrived"] for p in plans):
         bodies = _bodies(positions)
         moving, true = station.masks(bodies), under | _footprints(bodies)
         data = station.map(kind, {name: still[name] | moving[name] for name in still}, true)
@@ -314,24 +335,25 @@ def _announced(said: Any, rank: Sequence[Any], own: Any) -> list[dict[str, Any]]
 
 def _touching(outlines: Sequence[FloatArray], plans: Sequence[Trajectory], now: float) -> set[tuple[int, int]]:
     """Pairs that touch within the step: (robot, robot), or (robot, -1 - obstacle)."""
-    found = set()
+    found, ways = set(), [list[Point]() for _ in plans]
     for t in np.linspace(now, now + STEP_S, 11):
         places = [position_at(path, float(t)) for path in plans]
         for i, at in enumerate(places):
             found |= {(i, j) for j in range(i) if math.dist(at, places[j]) < 2 * RADIUS_M - 1e-3}
-            found |= {(i, -1 - j) for j, outline in enumerate(outlines) if _gap(at, outline) < RADIUS_M - 1e-3}
+            ways[i].append(at)
+    for i, way in enumerate(ways):
+        found |= {(i, -1 - j) for j, outline in enumerate(outlines) if (_gaps(way, outline) < RADIUS_M - 1e-3).any()}
     return found
 
 
-def _gap(at: Point, polygon: FloatArray) -> float:
-    """Distance in m from a point to a convex polygon, 0 inside."""
-    a, b = polygon, np.roll(polygon, -1, axis=0)
-    edge, to = b - a, np.array(at) - a
-    side = edge[:, 0] * to[:, 1] - edge[:, 1] * to[:, 0]
-    if (side >= 0).all() or (side <= 0).all():
-        return 0.0
-    along = np.clip((to * edge).sum(axis=1) / (edge**2).sum(axis=1), 0, 1)
-    return float(np.linalg.norm(to - along[:, None] * edge, axis=1).min())
+def _gaps(points: Sequence[Point], polygon: FloatArray) -> FloatArray:
+    """Distance in m from each point to a convex polygon, (N,), 0 inside."""
+    edge = np.roll(polygon, -1, axis=0) - polygon
+    to = np.asarray(points, dtype=float)[:, None] - polygon
+    side = edge[:, 0] * to[..., 1] - edge[:, 1] * to[..., 0]
+    along = np.clip((to * edge).sum(axis=2) / (edge**2).sum(axis=1), 0, 1)
+    gaps = np.linalg.norm(to - along[..., None] * edge, axis=2).min(axis=1)
+    return np.where((side >= 0).all(axis=1) | (side <= 0).all(axis=1), 0.0, gaps)
 
 
 def _detour(mission: Mission, paths: Sequence[Sequence[Point]], done: Sequence[bool]) -> float:
@@ -351,7 +373,8 @@ class _Robot:
     """A robot's process: orders in, answers out."""
 
     def __init__(self, address: str) -> None:
-        command = [sys.executable, "-m", "occlib.lab.missions", address]
+        code = "import sys; from occlib.lab.missions import _robot; _robot(sys.argv[1])"
+        command = [sys.executable, "-c", code, address]
         self._process = subprocess.Popen(
             command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, encoding="utf-8"
         )
@@ -420,7 +443,3 @@ def _answer(navigator: Navigator, data: MapData, floor: Floor, order: dict[str, 
     others = _reservations(order["others"])
     navigator.update(data, floor, tuple(order["position"]), others, order["time"])
     return {"trajectory": navigator.trajectory, "intention": navigator.intention, "arrived": navigator.arrived}
-
-
-if __name__ == "__main__":
-    _robot(sys.argv[1])

@@ -10,17 +10,20 @@ import time
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import product
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import scipy  # whose `stats` loads when used, and slowly
 
 from occlib.base import checks
 from occlib.base.arrays import FloatArray, Mask, as_points
+from occlib.base.intervals import t_interval
 from occlib.explaining import Explainer, Explaining
 from occlib.foreground import Evidence
-from occlib.geometry import Rig
-from occlib.lab.crowds import places_m, truth_of
+from occlib.geometry import Floor, Rig
+from occlib.lab.crowds import base_m, places_m, solid_m, truth_of
 from occlib.lab.ghosts import LEAST_AREA_M2, crossings, expected_crossings, ghost_regions
 from occlib.lab.scenes import Scene, SceneObject
 from occlib.lab.truth import depth_image
@@ -99,38 +102,59 @@ class Simulation:
 
         ``kept``: for each camera bool (n,), False for an object that this view misses; all for None.
         """
-        return union(self.silhouettes(crowd), kept)
+        seen = {}
+        for name, camera in self.rig.cameras.items():
+            seen[name] = np.zeros(camera.size[::-1], bool)
+            for i, each in enumerate(crowd):
+                if kept is None or kept[name][i]:
+                    depth, window = depth_image(self._scene, camera, each, 0)
+                    seen[name][window] |= np.isfinite(depth)
+        return seen
 
     def on_floor(self, masks: Mapping[str, Mask]) -> dict[str, Mask]:
         """The masks as shadows on the floor, ``{camera: bool (ny, nx)}``."""
         return {name: self._warps[name].warp(mask) for name, mask in masks.items()}
+
+    def shadows(self, crowd: Sequence[SceneObject]) -> dict[str, Mask]:
+        """Each object's shadow on the floor as if it were alone, ``{camera: bool (n, ny, nx)}``.
+
+        Their :func:`union` is :meth:`on_floor` of :meth:`masks`: cast once, they serve every rule that votes on the
+        floor, every choice among the cameras and every pattern of misses.
+        """
+        return {
+            name: np.reshape([self._warps[name].warp(mask) for mask in masks], (len(crowd), *self.rig.floor.shape))
+            for name, masks in self.silhouettes(crowd).items()
+        }
 
     def occupied(self, masks: Mapping[str, Mask], rule: str = "and") -> Mask:
         """The map of a rule of :func:`occlib.occlusion.fuse`, bool (ny, nx).
 
         Where the rig has two cameras or more, at least two must see a cell.
         """
-        checks.choice("rule", rule, RULES)
+        if not RULES[checks.choice("rule", rule, RULES)].planes:
+            return self.fused(self.on_floor(masks), rule)
         visible: list[Mask] = [self._warps[name].visible for name in masks]
-        if RULES[rule].planes:
-            views = [np.stack([plane.warp(mask) for plane in self._planes[name]]) for name, mask in masks.items()]
-            fused = fuse(views, rule, visible=[np.stack([p.visible for p in self._planes[name]]) for name in masks])
-        elif RULES[rule].soft:
-            yes, no = self.trust
-            fused = (
-                fuse([np.where(view, yes, no) for view in self.on_floor(masks).values()], rule, visible=visible) > 0.5
-            )
-        else:
-            fused = fuse(list(self.on_floor(masks).values()), rule, visible=visible)
+        views = [np.stack([plane.warp(mask) for plane in self._planes[name]]) for name, mask in masks.items()]
+        fused = fuse(views, rule, visible=[np.stack([p.visible for p in self._planes[name]]) for name in masks])
         return np.asarray(fused & (np.sum(visible, axis=0) >= min(2, len(masks))), dtype=bool)
+
+    def fused(self, views: Mapping[str, Mask], rule: str = "and") -> Mask:
+        """The map of a rule that votes on the floor, bool (ny, nx); ``views``: ``{camera: bool (ny, nx)}``."""
+        if RULES[checks.choice("rule", rule, RULES)].planes:
+            raise ValueError(f"rule: expected one that needs the floor alone, got {rule!r}")
+        visible: list[Mask] = [self._warps[name].visible for name in views]
+        if RULES[rule].soft:
+            yes, no = self.trust
+            fused = fuse([np.where(view, yes, no) for view in views.values()], rule, visible=visible) > 0.5
+        else:
+            fused = fuse(list(views.values()), rule, visible=visible)
+        return np.asarray(fused & (np.sum(visible, axis=0) >= min(2, len(views))), dtype=bool)
 
     def places(self, masks: Mapping[str, Mask], rule: str = "and") -> FloatArray:
         """Where a rule puts objects, (N, 2) in m: centroids of its regions, or axes of the explaining cylinders."""
         if rule in EXPLAIN:
             return as_points([(c.x, c.y) for c in self._explainers[rule].explain(evidence_of(masks))])
-        floor = self.rig.floor
-        regions = find_regions(self.occupied(masks, rule), min_area=LEAST_AREA_M2 / floor.cell_area)[1]
-        return floor.points([region.centroid for region in regions])
+        return region_places(self.occupied(masks, rule), self.rig.floor)
 
     def cost_ms(self, masks: Sequence[Mapping[str, Mask]], rule: str, *, repeats: int = 3) -> float:
         """Median time from the masks of an instant to the objects' places, in ms, after one run to warm up."""
@@ -179,8 +203,20 @@ def score(
     radius
         Within which a detection is right, in m.
     """
-    found = {i: simulation.places(views, rule) for i, views in enumerate(masks)}
-    result = evaluate(found, truth_of(crowds), radius=radius)
+    return score_places([simulation.places(views, rule) for views in masks], crowds, radius=radius)
+
+
+def region_places(occupied: Mask, floor: Floor) -> FloatArray:
+    """Centroids of a map's regions, (N, 2) in m; those smaller than :data:`LEAST_AREA_M2` are left out."""
+    regions = find_regions(occupied, min_area=LEAST_AREA_M2 / floor.cell_area)[1]
+    return floor.points([region.centroid for region in regions])
+
+
+def score_places(
+    found: Sequence[FloatArray], crowds: Sequence[Sequence[SceneObject]], *, radius: float = 0.3
+) -> dict[str, float]:
+    """As :func:`score`, of the places (N, 2) in m that were found for each crowd."""
+    result = evaluate(dict(enumerate(found)), truth_of(crowds), radius=radius)
     values = {
         "MODA": result.moda,
         "ghosts a frame": result.ghosts_per_frame,
@@ -192,32 +228,69 @@ def score(
 
 
 def two_view_study(rig: Rig, crowds: Sequence[Sequence[SceneObject]]) -> dict[str, float]:
-    """Ghosts a frame of the AND of two cameras: by the law, predicted, measured; and its scores. Means over crowds."""
+    """Ghosts a frame of the AND of two cameras: by the law, predicted, measured; and its scores. Means over crowds.
+
+    ``measured, low`` and ``measured, high`` are the ends of the 95 % interval over the crowds.
+    """
     simulation, floor = Simulation(rig), rig.floor
-    masks = [simulation.masks(crowd) for crowd in crowds]
-    maps = [simulation.occupied(views) for views in masks]
+    maps = [simulation.occupied(simulation.masks(crowd)) for crowd in crowds]
     pairs = list(zip(maps, crowds, strict=True))
-    tall = float(np.mean([each.height for crowd in crowds for each in crowd]))
-    ratios = [claimed_area_ratio(one, floor, [each.footprint(0) for each in crowd]) for one, crowd in pairs]
+    tall = float(np.mean([solid_m(each)[:, 2].max() for crowd in crowds for each in crowd]))
+    ratios = [claimed_area_ratio(one, floor, [base_m(each) for each in crowd]) for one, crowd in pairs]
+    measured, low, high = t_interval([ghost_regions(one, crowd, floor) for one, crowd in pairs])
     return {
         "law": expected_crossings(rig, len(crowds[0]), tall),
         "predicted": float(np.mean([len(crossings(rig, crowd)) for crowd in crowds])),
-        "measured": float(np.mean([ghost_regions(one, crowd, floor) for one, crowd in pairs])),
+        "measured": measured,
+        "measured, low": low,
+        "measured, high": high,
         "claimed / true": float(np.mean([ratio for ratio in ratios if ratio is not None])),
-        **score(simulation, masks, crowds),
+        **score_places([region_places(one, floor) for one in maps], crowds),
     }
 
 
-def covered_share(
-    simulation: Simulation, masks: Sequence[Mapping[str, Mask]], crowds: Sequence[Any], rule: str
-) -> float:
-    """Share of the objects of which a rule's map covers at least half the base."""
-    floor = simulation.rig.floor
-    covered = [
-        footprint_coverage(simulation.occupied(views, rule), floor, [each.footprint(0) for each in crowd]) >= 0.5
-        for views, crowd in zip(masks, crowds, strict=True)
-    ]
-    return float(np.mean(np.concatenate(covered)))
+def recall_study(
+    rig: Rig,
+    crowds: Sequence[Sequence[SceneObject]],
+    *,
+    cameras: Sequence[int],
+    recalls: Sequence[float],
+    rules: Sequence[str],
+    rng: np.random.Generator,
+) -> list[dict[str, Any]]:
+    """Share of the objects that each rule keeps when every view misses objects at random.
+
+    Parameters
+    ----------
+    rig
+        Its first ``cameras`` are used, so that shadows are cast once.
+    crowds
+        Of equally many objects.
+    cameras, recalls, rules
+        How many cameras, the share of the objects that a single view segments, and rules that vote on the floor.
+    rng
+        For the misses.
+
+    Returns
+    -------
+    Rows ``{"cameras", "r", "rule", "expected", "found"}``: the share by the binomial law, and the share of the objects
+    of which the map covers at least half the base.
+    """
+    simulation, rows = Simulation(rig), []
+    shadows, count = [simulation.shadows(crowd) for crowd in crowds], len(crowds[0])
+    for k, recall in product(cameras, recalls):
+        names = list(rig.cameras)[:k]
+        kept = [misses(names, count, recall, rng) for _ in crowds]
+        views = [union({n: one[n] for n in names}, seen) for one, seen in zip(shadows, kept, strict=True)]
+        for rule in rules:
+            found = [
+                footprint_coverage(simulation.fused(one, rule), rig.floor, [base_m(each) for each in crowd]) >= 0.5
+                for one, crowd in zip(views, crowds, strict=True)
+            ]
+            expected = scipy.stats.binom.sf(votes_needed(rule, k, simulation.trust) - 1, k, recall)
+            row = {"cameras": k, "r": recall, "rule": rule, "expected": float(expected)}
+            rows.append({**row, "found": float(np.mean(np.concatenate(found)))})
+    return rows
 
 
 def evidence_of(masks: Mapping[str, Mask]) -> dict[str, Evidence]:

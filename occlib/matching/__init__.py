@@ -6,6 +6,7 @@ from occlib.matching.optima import best, optima, refine
 from occlib.matching.reference import REFERENCES, reference_similarity
 from occlib.matching.registry import load_matchers, matcher
 from occlib.matching.search import Comparison, Match, compare, default_threshold, find, similarity
+from occlib.matching.sums import correlate
 from occlib.matching.thresholds import score_threshold
 
 __all__ = [
@@ -16,6 +17,7 @@ __all__ = [
     "Method",
     "best",
     "compare",
+    "correlate",
     "default_threshold",
     "find",
     "load_matchers",

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from occlib.base.arrays import Mask
-from occlib.matching.sums import Array
+from occlib.matching.sums import Array, once
 
 EDGE_IMAGE, EDGE_TEMPLATE = 40, 100
 """Gradients (``|gx| + |gy|`` of the 3x3 Sobel masks, 8 bit) above which a pixel of the image or of the
@@ -27,13 +27,19 @@ def edge_pixels(image: Array, templates: Sequence[Array]) -> tuple[Mask, list[Ma
         image, *templates = (
             np.rint((a.astype(float) - low) / span * 255).astype(np.uint8) for a in (image, *templates)
         )
-    found = []
-    for picture, limit in ((image, EDGE_IMAGE), *((t, EDGE_TEMPLATE) for t in templates)):
-        smooth = cv2.GaussianBlur(np.ascontiguousarray(picture), (3, 3), 0)
-        found.append(cv2.Canny(smooth, limit, limit) > 0)
-    for edges in found[1:]:
+    found = [_steepest(template, EDGE_TEMPLATE) for template in templates]
+    for edges in found:
         edges[:EDGE_MARGIN] = edges[-EDGE_MARGIN:] = edges[:, :EDGE_MARGIN] = edges[:, -EDGE_MARGIN:] = False
-    return found[0], found[1:]
+    return once(_image_edges, image), found
+
+
+def _image_edges(image: Array) -> Mask:
+    return _steepest(image, EDGE_IMAGE)
+
+
+def _steepest(picture: Array, limit: int) -> Mask:
+    smooth = cv2.GaussianBlur(np.ascontiguousarray(picture), (3, 3), 0)
+    return np.asarray(cv2.Canny(smooth, limit, limit) > 0)
 
 
 def squared_distances(edges: Mask) -> Array:

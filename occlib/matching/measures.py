@@ -46,7 +46,7 @@ import numpy as np
 from occlib.base.arrays import FloatArray
 from occlib.base.kernels import compiled
 from occlib.matching.edges import edge_pixels, squared_distances
-from occlib.matching.sums import Array, Pairs, correlations, window_moments
+from occlib.matching.sums import Array, Pairs, correlations, once, window_moments, window_sums
 
 Measure = Callable[[Array, Array, Array], FloatArray]
 """Image (H, W, C), template (h, w, C) and mask (h, w) to scores (H - h + 1, W - w + 1)."""
@@ -126,8 +126,8 @@ def _ssd(image: Array, template: Array, mask: Array) -> FloatArray:
     for f, t in _channels(image, template):
         k = np.where(mask, t, 0).astype(np.int64)
         if whole:
-            (part,) = correlations([(f, -2 * k)])
-            part += window_moments(f, *k.shape)[1]
+            product, _, sums = once(window_sums, f, k)
+            part = sums - 2 * product
         else:
             squares = f.astype(np.uint32) ** 2
             (part,) = correlations([(squares, weights), (f, -2 * k)])
@@ -177,19 +177,28 @@ def _sad(image: Array, template: Array, mask: Array) -> FloatArray:
 
 @compiled
 def _add_byte_differences(f: Array, t: Array, mask: Array, total: Array) -> None:  # pragma: no cover
-    """Add ``sum(|t - f|)`` of every window: a template pixel against a whole row at a time, in 16 bit."""
+    """Add ``sum(|t - f|)`` of every window: two template pixels against a whole row at a time, in 16 bit."""
     rows, columns = total.shape
     part = np.zeros(columns, np.uint16)
     for r in range(rows):
         for u in range(t.shape[0]):
             for start in range(0, t.shape[1], 256):  # 256 differences fit into 16 bit
                 part[:] = 0
-                for v in range(start, min(start + 256, t.shape[1])):
+                v, stop = start, min(start + 256, t.shape[1])
+                while v < stop:
+                    value, row = t[u, v], f[r + u, v:]
+                    if v + 1 < stop and mask[u, v] and mask[u, v + 1]:
+                        value2, row2 = t[u, v + 1], f[r + u, v + 1 :]
+                        for c in range(columns):
+                            one = np.uint8(max(row[c], value) - min(row[c], value))
+                            other = np.uint8(max(row2[c], value2) - min(row2[c], value2))
+                            part[c] += np.uint16(np.uint16(one) + np.uint16(other))
+                        v += 2
+                        continue
                     if mask[u, v]:
-                        value = t[u, v]
-                        row = f[r + u, v:]
                         for c in range(columns):
                             part[c] += np.uint8(max(row[c], value) - min(row[c], value))
+                    v += 1
                 for c in range(columns):
                     total[r, c] += part[c]
 
@@ -223,8 +232,7 @@ def _ncc(image: Array, template: Array, mask: Array, *, centred: bool = False) -
     for f, t in _channels(image, template):
         k = np.where(mask, t, 0).astype(np.int64)
         if whole:
-            (product,) = correlations([(f, k)])
-            sums, squares = window_moments(f, *k.shape)
+            product, sums, squares = once(window_sums, f, k)
         else:
             product, sums, squares = correlations([(f, k)], [(f, weights)], [(f.astype(np.uint32) ** 2, weights)])
         t_sum = int(k.sum())
@@ -349,7 +357,7 @@ def scaled(image: Array, pairs: Pairs, *, remove_offset: bool) -> tuple[Array, P
 def _edge_distances(image: Array, pairs: Pairs) -> tuple[Array, Pairs]:
     """The image's squared distances, and for each pair its edges as the mask; no edges score as in an empty image."""
     edges, template_edges = edge_pixels(image, [template for template, _ in pairs])
-    distances = squared_distances(edges)[:, :, None]
+    distances = once(squared_distances, edges)[:, :, None]
     prepared = []
     for (_, mask), own in zip(pairs, template_edges, strict=True):
         none = not (own & (mask > 0)).any()
@@ -398,7 +406,7 @@ def _zncc_threshold(image: Array, template: Array, mask: Array) -> float:
 
 
 def _sed_threshold(image: Array, template: Array, mask: Array) -> float:
-    crowded = UNEXPLAINED * float(np.median(squared_distances(edge_pixels(image, [template])[0])))
+    crowded = UNEXPLAINED * float(np.median(once(squared_distances, edge_pixels(image, [template])[0])))
     return min(crowded, float(min(mask.shape) / 8) ** 2)
 
 

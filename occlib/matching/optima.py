@@ -10,9 +10,13 @@ import numpy as np
 import numpy.typing as npt
 
 from occlib.base.arrays import FloatArray, Mask
+from occlib.base.kernels import compiled
 from occlib.matching.measures import known_method
 
 RULES = ("components", "nms")
+
+CROWDED = 4
+"""Equally good places in a block, on the average, above which non-maximum suppression filters the whole image."""
 
 
 def best(score: npt.ArrayLike, method: str) -> tuple[int, int]:
@@ -142,16 +146,70 @@ def refine(score: npt.ArrayLike, places: npt.ArrayLike) -> FloatArray:
 
 def _unsuppressed(cost: FloatArray, accepted: Mask, rows: int, columns: int) -> npt.NDArray[np.intp]:
     """Flat indices of the accepted places that are the best within so many rows and columns, best first."""
-    best = cv2.erode(cost, np.ones((2 * rows + 1, 2 * columns + 1), np.uint8))
-    places = np.flatnonzero(accepted & (cost == best))
+    places = _best_of_blocks(cost, accepted, rows, columns)
+    blocks = max(cost.size // ((rows + 1) * (columns + 1)), 1)
+    if len(places) > CROWDED * blocks:  # on plateaus, each would be looked at
+        around = cv2.erode(cost, np.ones((2 * rows + 1, 2 * columns + 1), np.uint8))
+        places = np.flatnonzero(accepted & (cost == around))
+    else:
+        places = places[_are_best_around(cost, places, rows, columns)]
+    costs = cost.flat[places]
+    order = np.argsort(costs, kind="stable")
+    places = places[order]
+    if (np.diff(costs[order]) > 0).all():
+        return places
     taken = np.zeros(cost.shape, bool)
     kept = []
-    for place in places[np.argsort(cost.flat[places], kind="stable")]:
+    for place in places:
         r, c = divmod(int(place), cost.shape[1])
         if not taken[r, c]:  # only an equal score can have taken it
             taken[max(r - rows, 0) : r + rows + 1, max(c - columns, 0) : c + columns + 1] = True
             kept.append(place)
     return np.array(kept, dtype=np.intp)
+
+
+@compiled
+def _best_of_blocks(cost: Any, accepted: Any, rows: int, columns: int) -> Any:  # pragma: no cover
+    """Flat indices, rising, of the accepted places that are the best of their block of so many rows and columns, and one.
+
+    Every place that is the best around is among them, as its block lies within what is around it.
+    """
+    height, width = rows + 1, columns + 1
+    least = np.full((cost.shape[0] // height + 1, cost.shape[1] // width + 1), np.inf)
+    for r in range(cost.shape[0]):
+        line = least[r // height]
+        for start in range(0, cost.shape[1], width):
+            value = line[start // width]
+            for c in range(start, min(start + width, cost.shape[1])):
+                value = min(value, cost[r, c])
+            line[start // width] = value
+    places = np.empty(cost.size, np.intp)
+    count = 0
+    for r in range(cost.shape[0]):
+        line = least[r // height]
+        for start in range(0, cost.shape[1], width):
+            value = line[start // width]
+            for c in range(start, min(start + width, cost.shape[1])):
+                if cost[r, c] == value and accepted[r, c]:
+                    places[count] = r * cost.shape[1] + c
+                    count += 1
+    return places[:count].copy()
+
+
+@compiled
+def _are_best_around(cost: Any, places: Any, rows: int, columns: int) -> Any:  # pragma: no cover
+    """Whether nothing within so many rows and columns beats a place, for each."""
+    best = np.ones(len(places), np.bool_)
+    for i in range(len(places)):
+        r, c = places[i] // cost.shape[1], places[i] % cost.shape[1]
+        for y in range(max(r - rows, 0), min(r + rows + 1, cost.shape[0])):
+            for x in range(max(c - columns, 0), min(c + columns + 1, cost.shape[1])):
+                if cost[y, x] < cost[r, c]:
+                    best[i] = False
+                    break
+            if not best[i]:
+                break
+    return best
 
 
 def check_search(rule: str, max_count: Any, pyramid: Any = 0) -> None:

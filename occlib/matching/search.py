@@ -20,7 +20,7 @@ from occlib.matching.arguments import checked
 from occlib.matching.banks import Bank, warps
 from occlib.matching.measures import METHODS, Method, known_method
 from occlib.matching.optima import check_search, optima, refine
-from occlib.matching.thresholds import own_threshold, score_threshold
+from occlib.matching.thresholds import own_threshold, score_threshold, warn_outside
 
 
 @dataclass(frozen=True)
@@ -160,9 +160,10 @@ def default_threshold(
     """
     measure = known_method(method)
     arrays = checked(image, template, mask)
-    if isinstance(measure.default_threshold, str):
-        return score_threshold(similarity(image, template, method, mask), method, measure.default_threshold)
-    return measure.default_threshold(*arrays)
+    own = own_threshold(measure, *arrays)
+    limit = score_threshold(similarity(image, template, method, mask), method, own) if isinstance(own, str) else own
+    warn_outside(measure, limit)
+    return limit
 
 
 def find(
@@ -219,6 +220,7 @@ def find(
     measure = known_method(method)
     f, t, used = checked(image, template, mask)
     check_search(rule, max_count, pyramid)
+    by_default = threshold is None
     if threshold is None:
         threshold = own_threshold(measure, f, t, used)
     bank = Bank.of(measure, f, warps(t, used, f.shape, angles, scales))
@@ -228,6 +230,8 @@ def find(
     else:
         cost, which = bank.cost()
         limit = score_threshold(-cost if measure.higher_is_better else cost, method, threshold)
+    if by_default:
+        warn_outside(measure, limit)
     score = -cost if measure.higher_is_better else cost
     places = optima(score, method, limit, rule, size=t.shape[:2], max_count=max_count)
     if pyramid and subpixel and len(bank.warps) > 1:
@@ -266,6 +270,8 @@ def compare(
         score = similarity(f, t, name, used)
         seconds = time.perf_counter() - started
         limit = score_threshold(score, name, own_threshold(measure, f, t, used) if threshold is None else threshold)
+        if threshold is None:
+            warn_outside(measure, limit)
         height, width = t.shape[:2]
         places = optima(score, name, limit, rule, size=(height, width), max_count=max_count)
         matches = [Match(int(x), int(y), float(score[y, x]), width, height) for y, x in places]

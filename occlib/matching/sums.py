@@ -5,8 +5,10 @@ A window has the template's size; there is one for each place of the template's 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
+from typing import Any, TypeVar
 
 import cv2
 import numpy as np
@@ -18,6 +20,36 @@ Array = npt.NDArray[Any]
 
 Pairs = Sequence[tuple[Array, Array]]
 """(image, kernel) or (template, mask), both (rows, columns)."""
+
+Made = TypeVar("Made")
+
+_SHARED: ContextVar[dict[Any, Any] | None] = ContextVar("shared sums", default=None)
+
+
+@contextmanager
+def shared() -> Iterator[None]:
+    """Within this block, what several measures need of the same arrays is computed once: for comparisons that are not timed."""
+    token = _SHARED.set({})
+    try:
+        yield
+    finally:
+        _SHARED.reset(token)
+
+
+def once(make: Callable[..., Made], *arrays: Array) -> Made:
+    """``make(*arrays)``; within :func:`shared`, what it was for equal arrays before. Not to be changed in place."""
+    known = _SHARED.get()
+    if known is None:
+        return make(*arrays)
+    key = (make, *((values.shape, values.dtype.str, values.tobytes()) for values in arrays))
+    if key not in known:
+        known[key] = make(*arrays)
+    return known[key]  # type: ignore[no-any-return]
+
+
+def window_sums(image: Array, kernel: Array) -> tuple[Array, Array, Array]:
+    """Of integers: the correlation with the kernel, and the sums and sums of squares over every window."""
+    return correlations([(image, kernel)])[0], *window_moments(image, *kernel.shape)
 
 
 def _spectrum(values: Array, shape: tuple[int, ...]) -> Array:
@@ -57,6 +89,34 @@ def correlations(*sums: Pairs) -> list[Array]:
         valid = cv2.dft(total, total, flags, nonzeroRows=rows).reshape(shape)[:rows, :columns]
         results.append(_rounded(valid) if exact else valid.copy())
     return results
+
+
+def correlate(image: npt.ArrayLike, template: npt.ArrayLike) -> Array:
+    """The sum of the products of a template and the window below it, at every place: what many measures are made of.
+
+    Parameters
+    ----------
+    image, template
+        (H, W) and (h, w), or (H, W, C) and (h, w, C), whose channels are added. Complex numbers count as vectors of
+        two parts, whose product is the scalar product.
+
+    Returns
+    -------
+    ndarray
+        float64 (H - h + 1, W - w + 1), by the Fourier transform; a place is that of the template's top-left pixel.
+
+    Examples
+    --------
+    >>> correlate([[1, 2, 3]], [[10, 1]]).round(6)
+    array([[12., 23.]])
+    """
+    f, t = (np.atleast_3d(np.asarray(values)) for values in (image, template))
+    if f.ndim != 3 or t.ndim != 3 or f.shape[2] != t.shape[2] or not np.all(np.less_equal(t.shape, f.shape)):
+        raise ValueError(f"template: expected one that fits into the image {f.shape}, got shape {t.shape}")
+    if np.iscomplexobj(f) or np.iscomplexobj(t):
+        f, t = (np.concatenate([values.real, values.imag], axis=2) for values in (f, t))
+    channels = zip(np.moveaxis(f, 2, 0).astype(np.float64), np.moveaxis(t, 2, 0).astype(np.float64), strict=True)
+    return correlations(list(channels))[0]
 
 
 def _error(image: Array, kernel: Array) -> float:

@@ -7,6 +7,7 @@ other are trajectories: see :mod:`occlib.robots.reservations`.
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -112,22 +113,12 @@ def _graph(blocked: Mask, floor: Floor, ends: FloatArray, reach_m: float, cell_m
 
     The last but one place is the start, the last the goal. A way weighs 1, for the step, and a little for its length.
     """
-    (left, right), (low, high) = floor.x, floor.y
-    nx, ny = (max(1, int((b - a) / cell_m + 1e-9)) for a, b in (floor.x, floor.y))
-    xs = (left + right - (nx - 1) * cell_m) / 2 + cell_m * np.arange(nx)
-    ys = (low + high - (ny - 1) * cell_m) / 2 + cell_m * np.arange(ny)
-    xy = np.vstack([np.column_stack([np.tile(xs, ny), np.repeat(ys, nx)]), ends])
-    index, n = np.arange(nx * ny).reshape(ny, nx), nx * ny
-    far, pairs = int(reach_m / cell_m + 1e-9), []
-    for dy in range(min(far, ny - 1) + 1):
-        for dx in range(-far, far + 1):
-            if (dy > 0 or dx > 0) and math.hypot(dx, dy) * cell_m <= reach_m + 1e-9 and abs(dx) < nx:
-                a, b = index[: ny - dy, max(0, -dx) : nx - max(0, dx)], index[dy:, max(0, dx) : nx + min(0, dx)]
-                pairs.append(np.column_stack([a.ravel(), b.ravel()]))
+    inner, pairs = _lattice(floor, reach_m, cell_m)
+    xy, n, ways = np.vstack([inner, ends]), len(inner), [pairs]
     for k in (n, n + 1):
         near = np.flatnonzero(np.hypot(*(xy[:k] - xy[k]).T) <= reach_m + 1e-9)
-        pairs.append(np.column_stack([near, np.full(len(near), k)]))
-    a, b = np.vstack(pairs).T
+        ways.append(np.column_stack([near, np.full(len(near), k)]))
+    a, b = np.vstack(ways).T
     usable = lines_free(blocked, floor, xy, xy)
     both = usable[a] & usable[b]
     a, b = a[both], b[both]
@@ -138,6 +129,26 @@ def _graph(blocked: Mask, floor: Floor, ends: FloatArray, reach_m: float, cell_m
     graph = csr_array((np.tile(weight, 2), (np.concatenate([a, b]), np.concatenate([b, a]))), shape=shape)
     graph.sort_indices()
     return xy, graph
+
+
+@lru_cache(maxsize=8)
+def _lattice(floor: Floor, reach_m: float, cell_m: float) -> tuple[FloatArray, npt.NDArray[np.int64]]:
+    """Middles of the cells of a floor, (n, 2) in m, and the pairs of them within reach, (m, 2); read-only, made once."""
+    (left, right), (low, high) = floor.x, floor.y
+    nx, ny = (max(1, int((b - a) / cell_m + 1e-9)) for a, b in (floor.x, floor.y))
+    xs = (left + right - (nx - 1) * cell_m) / 2 + cell_m * np.arange(nx)
+    ys = (low + high - (ny - 1) * cell_m) / 2 + cell_m * np.arange(ny)
+    xy, index = np.column_stack([np.tile(xs, ny), np.repeat(ys, nx)]), np.arange(nx * ny).reshape(ny, nx)
+    far, found = int(reach_m / cell_m + 1e-9), [np.empty((0, 2), np.int64)]
+    for dy in range(min(far, ny - 1) + 1):
+        for dx in range(-far, far + 1):
+            if (dy > 0 or dx > 0) and math.hypot(dx, dy) * cell_m <= reach_m + 1e-9 and abs(dx) < nx:
+                a, b = index[: ny - dy, max(0, -dx) : nx - max(0, dx)], index[dy:, max(0, dx) : nx + min(0, dx)]
+                found.append(np.column_stack([a.ravel(), b.ravel()]))
+    pairs = np.vstack(found)
+    for kept in (xy, pairs):
+        kept.setflags(write=False)
+    return xy, pairs
 
 
 @compiled

@@ -9,6 +9,7 @@ from occlib.study.comparison import compare_pictures
 from occlib.study.conditions import CHANGING_LIGHT, CONDITIONS, CONSTANT_LIGHT, Condition
 from occlib.study.sweeps import Sweep, load_matchers, run_batches, sweep
 from occlib.study.tables import RULES, areas, fixed_thresholds, precision_recall, summarise, thresholds, verdicts
+from occlib.study.tables import verdicts_of
 from occlib.study.trials import Trial, make_trial, measured_trial, runtime, sources
 from occlib.study.work import PRESETS, Batch, batches, run, run_batch
 
@@ -18,4 +19,5 @@ __all__ = [
     "fixed_thresholds", "frame_place", "heatmap", "is_constant", "level_curves", "load_matchers", "make_trial", "measure_styles",
     "measured_trial", "precision_recall", "precision_recall_curves", "run", "run_batch", "run_batches", "runtime",
     "runtime_curves", "score_histogram", "sources", "summarise", "sweep", "thresholds", "verdict_figure", "verdicts",
+    "verdicts_of",
 ]

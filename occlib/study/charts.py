@@ -216,17 +216,19 @@ def level_curves(
             shift = 0.09 * (number - (len(looks) - 1) / 2)
             values = panel[panel[by] == line].set_index("level").reindex(levels)
             _line(ax, values, value, shift, {**look, "label": line})
-        ax.set_xticks(range(len(levels)), [f"{level:g}" for level in levels], fontsize=8)
-        ax.set_xlabel(CONDITIONS[name].unit if name in CONDITIONS else "level", fontsize=9)
-        ax.set_title(name, fontsize=10, fontweight="bold")
+        ax.set_xticks(range(len(levels)), [f"{level:g}" for level in levels], fontsize=11)
+        ax.set_xlabel(CONDITIONS[name].unit if name in CONDITIONS else "level", fontsize=11)
+        ax.set_title(name, fontsize=12, fontweight="bold")
     if log:  # an interval may reach below zero or far up; the values decide what is shown
         _log_axis(axes[0, 0])
         axes[0, 0].set_ylim(summary[value].min() / 1.8, summary[value].max() * 1.8)
     else:
         axes[0, 0].set_ylim(*((-0.03, 1.03) if value in ("recall", "precision", "f1") else (0, None)))
     for ax in axes[:, 0]:
-        ax.set_ylabel(LABELS.get(value, value))
-    fig.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside upper center", ncols=len(looks), frameon=False)
+        ax.set_ylabel(LABELS.get(value, value), fontsize=11)
+        ax.tick_params(axis="y", labelsize=11)
+    handles = axes[0, 0].get_legend_handles_labels()
+    fig.legend(*handles, loc="outside upper center", ncols=len(looks), frameon=False, fontsize=12)
     return fig
 
 
@@ -283,14 +285,15 @@ def precision_recall_curves(curves: pd.DataFrame, by: str = "condition", *, colu
                 peak = line.iloc[[int(line["f1"].to_numpy().argmax())]]
                 ax.plot(peak["recall"], peak["precision"], **{"markersize": 6, "linestyle": "", **look})
         ax.set(xlim=(0, 1.03), ylim=(0, 1.04))
-        ax.set_title(name, fontsize=10, fontweight="bold")
+        ax.set_title(name, fontsize=12, fontweight="bold")
     for ax in axes[:, 0]:
         ax.set_ylabel("precision")
     for ax in axes[-1]:
         ax.set_xlabel("recall")
     for method, look in looks.items():
         axes[0, 0].plot([], [], label=method, **look)
-    fig.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside upper center", ncols=len(looks), frameon=False)
+    handles = axes[0, 0].get_legend_handles_labels()
+    fig.legend(*handles, loc="outside upper center", ncols=len(looks), frameon=False, fontsize=12)
     return fig
 
 
@@ -305,7 +308,7 @@ def runtime_curves(ax: Axes, times: pd.DataFrame, value: str = "median_ms", labe
     ax.set_xticks(sides, [f"{side:g}" for side in sides])
     ax.set_xticks([], minor=True)
     ax.grid(color="0.9", linewidth=0.6)
-    ax.legend(frameon=False, fontsize=8)
+    ax.legend(frameon=False, fontsize=10)
 
 
 def heatmap(ax: Axes, values: pd.DataFrame, title: str = "", *, marked: pd.DataFrame | None = None) -> None:
@@ -316,15 +319,15 @@ def heatmap(ax: Axes, values: pd.DataFrame, title: str = "", *, marked: pd.DataF
         if np.isfinite(number):
             bold = marked is not None and bool(marked.iloc[row, column])
             light = np.dot(np.asarray(shown.to_rgba(number))[:3], [0.3, 0.59, 0.11]) > 0.5
-            text = ax.text(column, row, f"{number:.2f}", ha="center", va="center", fontsize=8,
+            text = ax.text(column, row, f"{number:.2f}", ha="center", va="center", fontsize=10,
                            color="black" if light else "white", fontweight="bold" if bold else "normal")  # fmt: skip
             text.set_in_layout(False)  # it is inside the axes, and measuring hundreds of texts takes seconds
             if bold:
                 corner = np.array([column - 0.46, row - 0.44])
                 ax.plot(corner[0] + np.array([0, 0.92, 0.92, 0, 0]), corner[1] + np.array([0, 0, 0.88, 0.88, 0]),
                         color=ACCEPTED, linewidth=1.6)  # fmt: skip
-    ax.set_xticks(range(values.shape[1]), [str(name) for name in values.columns], fontsize=9)
-    ax.set_yticks(range(values.shape[0]), [str(name) for name in values.index], fontsize=9)
+    ax.set_xticks(range(values.shape[1]), [str(name) for name in values.columns], fontsize=10)
+    ax.set_yticks(range(values.shape[0]), [str(name) for name in values.index], fontsize=10)
     ax.tick_params(length=0)
     ax.set_title(title, fontsize=10)
 
@@ -338,8 +341,8 @@ def verdict_figure(verdicts: pd.DataFrame) -> Figure:
     columns = list(rows.columns)
     methods = columns[columns.index("high") + 1 : columns.index("statement")]
     good = [[m == row["best"] or m in row["tied"].split(", ") for m in methods] for _, row in rows.iterrows()]
-    fig = Figure(figsize=(3.6 + 0.95 * len(methods), 1.3 + 0.36 * len(rows)), layout="constrained")
-    left, right = fig.subplots(1, 2, sharey=True, width_ratios=[len(methods), 3])
+    fig = Figure(figsize=(3.6 + 0.95 * max(len(methods), 5), 1.3 + 0.36 * len(rows)), layout="constrained")
+    left, right = fig.subplots(1, 2, sharey=True, width_ratios=[max(len(methods), 5), 3])
     heatmap(left, rows[methods], "area under recall (absent: share of pictures without false alarm)\nframed: best (in brackets), or not told from it",
             marked=pd.DataFrame(good))  # fmt: skip
     left.set_yticks(range(len(rows)), [f"{name} ({row['best']})" for name, row in rows.iterrows()])

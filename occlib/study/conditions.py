@@ -73,7 +73,7 @@ class Condition:
         return int(level) if self.level_is == "delay" else 0
 
     def suits(self, side: int, *, filmed: bool) -> bool:
-        """Whether it can be tried with templates of this side, on a source that is ``filmed`` (things move) or not."""
+        """Whether it can be tried with templates of this side, on a source that is ``filmed`` (objects move) or not."""
         return {"side": side == self.clean, "delay": filmed, None: True}[self.level_is]
 
     def degrade(self, moment: str, image: Image, box: Box, level: float, rng: np.random.Generator) -> Image:
@@ -196,7 +196,7 @@ CONDITIONS: dict[str, Condition] = {
         Condition("side", "px", 48, (16, 32, 48, 64, 96, 128), "side of the square template, under noise of 40 grey "
                   "levels", _nothing, under=40, level_is="side"),
         Condition("time", "frames", 0, (0, 4, 8, 16, 32), "frames (0.1 s) between template and search image; "
-                  "only where things move", _nothing, level_is="delay", group=None),
+                  "only where objects move", _nothing, level_is="delay", group=None),
         Condition("absent", "yes or no", 0, (0, 1), "the target is covered: whatever is accepted is a false alarm",
                   _remove, moment="scene", removes_target=True, group=None),
     )

@@ -13,7 +13,7 @@ places with the least cost within half a template (:func:`occlib.matching.optima
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -211,6 +211,17 @@ def verdicts(table: pd.DataFrame) -> pd.DataFrame:
     return pd.DataFrame(rows)[["condition", "criterion", "best", "tied", "area", "low", "high", *wide, "statement"]]
 
 
+def verdicts_of(table: pd.DataFrame, situations: Mapping[str, Sequence[str]]) -> pd.DataFrame:
+    """As :func:`verdicts`, for situations: the mean over the conditions of each, one row a situation."""
+    wide = areas(table).pivot(index=["condition", "source", "seed"], columns="method", values="area")
+    wide = wide[list(dict.fromkeys(table["method"]))]
+    rows = [
+        {**_verdict(name, wide.loc[list(members)].groupby(level=["source", "seed"]).mean()), "situation": name}
+        for name, members in situations.items()
+    ]
+    return pd.DataFrame(rows)[["situation", "best", "tied", "area", "low", "high", *wide, "statement"]]
+
+
 def _verdict(name: str, values: pd.DataFrame) -> dict[str, Any]:
     """The row of a condition from its areas, indexed by source and seed, a column a method."""
     means = values.groupby(level="source").mean().mean()
@@ -222,9 +233,14 @@ def _verdict(name: str, values: pd.DataFrame) -> dict[str, Any]:
             tied.append(str(other))
     area, low, high = np.clip(stratified_interval(values[best]), 0, 1)
     rest = [str(m) for m in values.columns if m != best and m not in tied]
-    text = f"{best} best" + (f", {', '.join(tied)} not told from it" if tied else "") + (
-        f"; {', '.join(rest)} worse" if rest else "; no difference shown")  # fmt: skip
+    text = f"{best} best" + (f"; {_listed(tied)} cannot be told from it" if tied else "") + (
+        f"; {_listed(rest)} worse" if rest else "")  # fmt: skip
     gone = name in CONDITIONS and CONDITIONS[name].removes_target
     criterion = "specificity" if gone else "area under recall"
     return {"condition": name, "criterion": criterion, "best": best, "tied": ", ".join(tied), "area": area, "low": low,
             "high": high, **dict(zip(map(str, means.index), means, strict=True)), "statement": text}  # fmt: skip
+
+
+def _listed(names: Sequence[str]) -> str:
+    """``a``, ``a and b``, ``a, b and c``."""
+    return " and ".join(filter(None, (", ".join(names[:-1]), *names[-1:])))

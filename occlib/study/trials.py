@@ -25,6 +25,7 @@ from occlib.base.extras import import_extra
 from occlib.base.extras import pandas as pd
 from occlib.foreground.intensity import to_grey
 from occlib.geometry import Camera
+from occlib.matching.sums import once
 from occlib.study.conditions import CONDITIONS
 
 Methods: TypeAlias = Iterable[matching.Method | str] | None
@@ -214,18 +215,24 @@ def make_trial(source: str, seed: int, condition: str = "noise", level: float | 
     x, y = np.rint(truth - fraction).astype(int).tolist()
     rng = _stream(seed, source, name)
     image = chosen.degrade("scene", view.grey, (x, y, side, side), level, rng)
-    image = _displaced(image, fraction)
+    image = once(_displaced, image, fraction)
     free = np.subtract(SEARCH_PX, side)
     inside = np.rint(_stream(seed, source, "place").random(2) * free).astype(int)
     left, top = np.clip((x, y) - inside, 0, np.maximum(np.subtract(image.shape[1::-1], SEARCH_PX), 0)).tolist()
     image = np.ascontiguousarray(image[top : top + SEARCH_PX[1], left : left + SEARCH_PX[0]])
-    noise = _stream(seed, source, "sensor").standard_normal(image.shape) * np.hypot(SENSOR_NOISE, chosen.under)
+    noise = _sensor(source, seed, image.shape) * np.hypot(SENSOR_NOISE, chosen.under)
     box = x - left, y - top, side, side
     image = chosen.degrade("light", image, box, level, rng)
     image = np.clip(np.rint(image + noise), 0, 255).astype(np.uint8)
     image = chosen.degrade("file", image, box, level, rng)
     gone = chosen.removes_target and level != chosen.clean
     return Trial(image, template, None if gone else truth - (left, top), view.cm_per_px)
+
+
+@lru_cache(maxsize=2)
+def _sensor(source: str, seed: int, shape: tuple[int, ...]) -> FloatArray:
+    """The sensor's noise, of standard deviation 1: the same at every level."""
+    return _stream(seed, source, "sensor").standard_normal(shape)
 
 
 def _displaced(image: Image, fraction: FloatArray) -> Image:
@@ -252,6 +259,17 @@ def registered(methods: Methods) -> Iterator[list[matching.Method]]:
             matching.METHODS.pop(name) if method is None else matching.METHODS.update({name: method})
 
 
+def _within(score: FloatArray, place: FloatArray, radius: float) -> FloatArray:
+    """The scores at whole pixels no farther than ``radius`` from a place ``(x, y)``; none for a place of NaN."""
+    if not np.isfinite(place).all():
+        return np.empty(0)
+    low = np.maximum(np.floor(place[::-1] - radius).astype(int), 0)
+    high = np.minimum(np.ceil(place[::-1] + radius).astype(int) + 1, score.shape)
+    rows, columns = np.mgrid[low[0] : high[0], low[1] : high[1]]
+    window = score[low[0] : high[0], low[1] : high[1]]
+    return window[np.hypot(rows - place[1], columns - place[0]) <= radius]
+
+
 def measured_trial(trial: Trial, method: matching.Method, tau_px: float) -> dict[str, Any]:
     """A row of the study: everything that one similarity image tells (columns: :func:`occlib.study.work.run_batch`)."""
     score = matching.similarity(trial.image, trial.template, method.name)
@@ -265,8 +283,7 @@ def measured_trial(trial: Trial, method: matching.Method, tau_px: float) -> dict
     wrong = ~(np.hypot(*(places[:, ::-1] - true).T) <= tau_px)  # NaN: all are wrong
     dx, dy = best - true
     error = float(np.hypot(dx, dy))
-    at = np.argwhere(np.hypot(*(np.indices(cost.shape) - true[::-1, None, None])) <= tau_px)
-    near = score[at[:, 0], at[:, 1]]
+    near = _within(score, true, tau_px)
     costs = cost[places[:, 0], places[:, 1]] - perfect
     ratio = float("nan")  # of a measure that has no perfect score
     if np.isfinite(perfect):

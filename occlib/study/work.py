@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import zlib
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 
 from occlib.base.extras import pandas as pd
+from occlib.matching.sums import shared
 from occlib.study import trials
 from occlib.study.conditions import CONDITIONS
 from occlib.study.trials import (
@@ -67,9 +68,10 @@ def batches(
     conditions: Iterable[str] | None = None,
     sources: Iterable[str] | None = None,
     sides: Iterable[int] | None = None,
+    levels: Mapping[str, Iterable[float]] | None = None,
     tau_px: float = 5.0,
 ) -> list[Batch]:
-    """The work of a study, in a fixed order; whatever is given replaces the preset's choice.
+    """The work of a study, in a fixed order; whatever is given replaces the preset's choice, ``levels`` by condition.
 
     ``preset`` is ``"fast"`` (seconds), ``"default"`` (a minute or two on one core) or ``"full"`` (three sides,
     12 seeds); ``tau_px`` is the error up to which a target counts as found. ``"time"`` runs only on sources
@@ -84,16 +86,19 @@ def batches(
     lengths = whole_numbers(choice.sides if sides is None else sides, "sides", *SIDES_PX)
     if not (np.isfinite(tau_px) and tau_px > 0):
         raise ValueError(f"tau_px: expected px > 0, got {tau_px}")
+    own = {known_names([name], CONDITIONS, "levels")[0]: tuple(given) for name, given in (levels or {}).items()}
     found = []
     for side, seed, source in ((side, seed, source) for side in lengths for seed in numbers for source in places):
-        levels = tuple(
-            (name, CONDITIONS[name].few_levels if choice.few_levels else CONDITIONS[name].levels) for name in names
-            if CONDITIONS[name].suits(side, filmed=source in TIMED)
-        )  # fmt: skip
-        found += [Batch(source, seed, side, levels, float(tau_px))] if levels else []
+        suited = [name for name in names if CONDITIONS[name].suits(side, filmed=source in TIMED)]
+        tried = tuple((name, own.get(name) or _usual_levels(name, choice)) for name in suited)
+        found += [Batch(source, seed, side, tried, float(tau_px))] if tried else []
     if not found:
         raise ValueError(f"conditions: {', '.join(names)} cannot be tried on {', '.join(places)}")
     return found
+
+
+def _usual_levels(condition: str, preset: Preset) -> tuple[float, ...]:
+    return CONDITIONS[condition].few_levels if preset.few_levels else CONDITIONS[condition].levels
 
 
 def run_batch(batch: Batch, methods: Methods = None) -> pd.DataFrame:
@@ -123,7 +128,7 @@ def run_batch(batch: Batch, methods: Methods = None) -> pd.DataFrame:
     clean: list[dict[str, Any]] = []  # is the same picture for every condition, so it is measured once
     rows = []
     try:
-        with registered(methods) as chosen:
+        with registered(methods) as chosen, shared():
             for condition, levels in batch.levels:
                 for level in levels:
                     undisturbed = CONDITIONS[condition].is_undisturbed(level)
@@ -131,7 +136,8 @@ def run_batch(batch: Batch, methods: Methods = None) -> pd.DataFrame:
                         measured = clean
                     else:
                         trial = make_trial(batch.source, batch.seed, condition, level, batch.side)
-                        measured = [measured_trial(trial, method, batch.tau_px) for method in chosen]
+                        with shared():
+                            measured = [measured_trial(trial, method, batch.tau_px) for method in chosen]
                         clean = measured if undisturbed else clean
                     about = {"source": batch.source, "seed": batch.seed, "side": batch.side, "tau_px": batch.tau_px}
                     rows += [{**about, "condition": condition, "level": float(level), **row} for row in measured]

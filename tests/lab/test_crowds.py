@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.stats import binom
 
 from occlib.explaining import appearance
 from occlib.geometry import Floor
@@ -192,12 +191,24 @@ def test_votes_of_the_rules() -> None:
 
 @pytest.mark.slow
 def test_recall_follows_the_binomial_law() -> None:
-    simulation, rng = Simulation(wall_rig(3)), np.random.default_rng(2)
-    crowd_list = random_crowds(40, 3, 9)
-    masks = [simulation.masks(c, simulation_module.misses(simulation.rig.cameras, 3, 0.8, rng)) for c in crowd_list]
-    for rule in ("and", "log-odds"):
-        expected = binom.sf(votes_needed(rule, 3) - 1, 3, 0.8)
-        assert simulation_module.covered_share(simulation, masks, crowd_list, rule) == pytest.approx(expected, abs=0.1)
+    settings = {"cameras": (3,), "recalls": (0.8,), "rules": ("and", "log-odds"), "rng": np.random.default_rng(2)}
+    rows = simulation_module.recall_study(wall_rig(4), random_crowds(40, 3, 9), **settings)
+    assert [row["expected"] for row in rows] == pytest.approx([0.8**3, 0.8**3 + 3 * 0.2 * 0.8**2])
+    for row in rows:
+        assert row["found"] == pytest.approx(row["expected"], abs=0.1)
+
+
+def test_shadows_cast_once_are_those_of_any_choice_of_objects() -> None:
+    simulation, crowd = Simulation(wall_rig(3)), random_crowd(3, np.random.default_rng(5))
+    kept = {name: np.array([name != "front", True, True]) for name in simulation.rig.cameras}
+    masks = simulation.masks(crowd, kept)
+    views = simulation_module.union(simulation.shadows(crowd), kept)
+    for name, view in simulation.on_floor(masks).items():
+        np.testing.assert_array_equal(views[name], view)
+    for rule in ("and", "most", "log-odds"):
+        np.testing.assert_array_equal(simulation.fused(views, rule), simulation.occupied(masks, rule))
+    with pytest.raises(ValueError, match="planes"):
+        simulation.fused(views, "planes")
 
 
 def test_an_object_that_a_view_misses_leaves_its_mask_alone() -> None:

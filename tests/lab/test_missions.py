@@ -84,9 +84,7 @@ def test_collisions_are_seen_between_two_maps() -> None:
     assert missions._touching([outline], [through, past], 0.0) == {(0, -1)}
     meeting = [(0.0, 0.4, 0.8), (0.5, -0.4, 0.8)]
     assert missions._touching([], [[(0.0, -0.4, 0.8), (0.5, 0.4, 0.8)], meeting], 0.0) == {(1, 0)}
-    assert missions._gap((0.0, 0.0), outline) == 0.0
-    assert missions._gap((0.45, 0.0), outline) == pytest.approx(0.3)
-    assert missions._gap((0.45, 0.8), outline) == pytest.approx(0.5)
+    assert missions._gaps([(0.0, 0.0), (0.45, 0.0), (0.45, 0.8)], outline) == pytest.approx([0.0, 0.3, 0.5])
 
 
 def test_random_missions_have_room() -> None:
@@ -95,7 +93,7 @@ def test_random_missions_have_room() -> None:
         assert len(mission.obstacles) == 4 and len(mission.starts) == len(mission.goals) == 2
         for start, goal in zip(mission.starts, mission.goals, strict=True):
             assert math.dist(start, goal) >= 1.5
-            assert all(missions._gap(at, o.footprint(0)) > RADIUS_M for at in (start, goal) for o in mission.obstacles)
+            assert all((missions._gaps((start, goal), o.footprint(0)) > RADIUS_M).all() for o in mission.obstacles)
     with pytest.raises(ValueError, match="no room for 60 objects"):
         random_mission(0, obstacles=60)
 

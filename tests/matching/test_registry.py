@@ -148,6 +148,21 @@ def test_names_that_a_matcher_cannot_have(name: Any) -> None:
         matcher(name, higher_is_better=True)
 
 
+@pytest.mark.parametrize("call", [default_threshold, find, lambda f, t, name: compare(f, t, [name])])
+def test_a_default_threshold_outside_the_bounds_is_told_once(call: Callable[..., Any]) -> None:
+    @matcher("distance", higher_is_better=False, bounds=(0, np.inf))
+    def distance(image: Array, template: Array, mask: Array) -> Array:
+        windows = np.lib.stride_tricks.sliding_window_view(image[..., 0], template.shape[:2])
+        return np.abs(windows - template[..., 0]).mean(axis=(2, 3))
+
+    expected = r"distance: its default threshold is -\d+(\.\d+)?, outside its bounds 0 to inf, so it accepts nothing"
+    with pytest.warns(UserWarning, match=expected) as told:
+        call(IMAGE, IMAGE[1:3, 1:3], "distance")
+        call(IMAGE, IMAGE[1:3, 1:3], "distance")
+    assert len(told) == 1
+    assert find(IMAGE, IMAGE[1:3, 1:3], "distance", "mad") == []  # asked for: no warning
+
+
 @pytest.mark.parametrize("threshold", [5, None, "half"])
 def test_a_default_threshold_is_a_function_or_a_known_name(threshold: Any) -> None:
     with pytest.raises(ValueError, match="default_threshold: expected a function or one of 'otsu', 'mad', got"):

@@ -90,3 +90,54 @@ def test_correlation_of_large_16_bit_templates_is_exact(side: int, low: int, mas
     n = len(t)
     cross, own, energy = (n * (a * b).sum() - a.sum() * b.sum() for a, b in ((t, f), (t, t), (f, f)))
     assert score[0, 0] == pytest.approx(float(cross) / np.sqrt(float(own) * float(energy)), abs=1e-14)
+
+
+def test_what_is_shared_is_computed_once_and_only_within_the_block(monkeypatch: pytest.MonkeyPatch) -> None:
+    calls: list[Array] = []
+
+    def make(values: Array) -> Array:
+        calls.append(values)
+        return values * 2
+
+    values = np.arange(3)
+    with sums.shared():
+        assert (sums.once(make, values) == sums.once(make, values.copy())).all() and len(calls) == 1
+        sums.once(make, values.astype(float))
+        sums.once(make, values + 1)
+        assert len(calls) == 3
+        with sums.shared():
+            sums.once(make, values)
+            assert len(calls) == 4
+        sums.once(make, values)
+        assert len(calls) == 4
+    sums.once(make, values)
+    sums.once(make, values)
+    assert len(calls) == 6
+
+
+@pytest.mark.parametrize("method", ["ssd", "sad", "ncc", "zncc", "sed"])
+def test_shared_sums_change_no_score(method: str) -> None:
+    image = np.random.default_rng(3).integers(0, 256, (40, 50)).astype(np.uint8)
+    alone = similarity(image, image[10:30, 5:25], method)
+    with sums.shared():
+        for _ in range(2):
+            for other in ("ssd", "ncc", "zncc", "sed"):
+                similarity(image, image[10:30, 5:25], other)
+            assert np.array_equal(similarity(image, image[10:30, 5:25], method), alone)
+
+
+def test_correlate_is_the_sum_of_products() -> None:
+    rng = np.random.default_rng(4)
+    image, template = rng.normal(size=(12, 15, 2)), rng.normal(size=(4, 3, 2))
+    windows = np.lib.stride_tricks.sliding_window_view(image, (4, 3), axis=(0, 1))
+    expected = np.einsum("rcduv,uvd->rc", windows, template)
+    assert np.allclose(sums.correlate(image, template), expected)
+    as_vectors = sums.correlate(image[..., 0] + 1j * image[..., 1], template[..., 0] + 1j * template[..., 1])
+    assert np.allclose(as_vectors, expected)
+    assert sums.correlate([[1, 2, 3]], [[1, 0]]).shape == (1, 2)
+
+
+@pytest.mark.parametrize("template", [np.ones((13, 3)), np.ones((3, 3, 2)), np.ones((2, 2, 2, 2))])
+def test_correlate_refuses_what_does_not_fit(template: Array) -> None:
+    with pytest.raises(ValueError, match="template: expected one that fits"):
+        sums.correlate(np.ones((12, 15)), template)

@@ -8,6 +8,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
 
 from occlib.matching.measures import METHODS
 from occlib.matching.optima import optima
@@ -120,3 +123,18 @@ def test_negative_threshold_of_a_distance(method: str) -> None:
 def test_threshold_no_correlation_can_reach() -> None:
     with pytest.raises(ValueError, match=r"threshold: expected -1 to 1 for zncc, got 1\.5"):
         find(IMAGE, IMAGE[:2, :2], "zncc", 1.5)
+
+
+@settings(max_examples=60, deadline=None)
+@given(hnp.arrays(np.float64, st.integers(2, 400), elements=st.floats(-1e6, 1e6)), st.booleans())
+def test_otsu_and_mad_are_those_of_scikit_image_and_numpy(values: Array, skewed: bool) -> None:
+    from skimage.filters import threshold_otsu
+
+    values = values**3 if skewed else values
+    if np.ptp(values) <= 1e-6 * np.abs(values).max():
+        return
+    assert score_threshold(values, "sad", "otsu") == threshold_otsu(values)
+    middle = np.median(values)
+    spread = 1.4826 * np.median(np.abs(values - middle)) or 1.2533 * np.abs(values - middle).mean()
+    assert score_threshold(values, "sad", "mad") == middle - 5 * spread
+    assert score_threshold([*values, np.inf], "sad", "mad") == middle - 5 * spread

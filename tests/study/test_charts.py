@@ -223,7 +223,11 @@ def test_verdict_figure_frames_the_best_and_what_is_tied():
         progress=False,
     )
     verdicts = tables.verdicts(trials)
-    left, right = charts.verdict_figure(verdicts).axes
+    fig = charts.verdict_figure(verdicts)
+    fig.draw_without_rendering()
+    left, right = fig.axes
+    titles = [ax.title.get_window_extent() for ax in (left, right)]
+    assert titles[0].x1 < titles[1].x0  # however few the measures
     rows = verdicts[~verdicts["condition"].str.startswith("claim")]
     assert [t.get_text() for t in left.get_xticklabels()] == ["ssd", "zncc"]
     assert [t.get_text() for t in left.get_yticklabels()] == [f"{r.condition} ({r.best})" for r in rows.itertuples()]

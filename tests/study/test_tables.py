@@ -98,6 +98,21 @@ def test_area_is_the_trapezoid_over_the_levels():
     assert area["absent"] == 0.5  # one of two empty pictures is beyond the default threshold of 5
 
 
+def test_a_verdict_tells_the_best_from_what_is_tied_and_from_what_is_worse():
+    places = pd.MultiIndex.from_product([["coins"], range(4)], names=["source", "seed"])
+    near, far = [0.8, 1.0, 0.9, 0.9], [0.1, 0.2, 0.1, 0.2]
+    values = pd.DataFrame({"zncc": [0.9] * 4, "ssd": near, "mine": near, "sad": far, "ncc": far}, index=places)
+    values["zncc"] += 0.01
+    verdict = tables._verdict("noise", values)
+    assert verdict["statement"] == "zncc best; ssd and mine cannot be told from it; sad and ncc worse"
+    assert verdict["tied"] == "ssd, mine"
+    three = tables._verdict("noise", values[["zncc", "ssd", "mine"]])["statement"]
+    assert three == "zncc best; ssd and mine cannot be told from it"
+    assert tables._verdict("noise", values[["zncc", "ssd", "mine"]].assign(own=near))["statement"].startswith(
+        "zncc best; ssd, mine and own cannot"
+    )
+
+
 @pytest.fixture(scope="module")
 def light():
     work = work_module.batches(seeds=[0, 1, 2], conditions=["offset", "noise"], sources=["camera", "coins", "chelsea"])
@@ -121,3 +136,12 @@ def test_zncc_stands_a_change_of_light_and_ssd_does_not(light):
 def test_a_fixed_threshold_fails_for_ssd_where_otsu_does_not(light):
     rules = tables.thresholds(light).set_index(["condition", "method", "level", "rule"])["recall"]
     assert rules["noise", "ssd", 40.0, "fixed"] < 0.2 < 0.9 < rules["noise", "ssd", 40.0, "otsu"]
+
+
+@pytest.mark.slow
+def test_a_situation_is_the_mean_of_its_conditions(light):
+    table = tables.verdicts_of(light, {"one": ["offset"], "all": ["offset", "noise"]}).set_index("situation")
+    alone = tables.verdicts(light).set_index("condition")
+    assert table.loc["one", ["best", "tied", "area"]].equals(alone.loc["offset", ["best", "tied", "area"]])
+    both = (alone.loc["offset", "ssd"] + alone.loc["noise", "ssd"]) / 2
+    assert table.loc["all", "ssd"] == pytest.approx(both)

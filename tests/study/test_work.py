@@ -170,3 +170,11 @@ def test_a_sweep_without_a_curve_leaves_no_picture_of_an_earlier_one(tmp_path):
         patch.setitem(CONDITIONS, "time", replace(CONDITIONS["time"], levels=(0,)))
         assert "recall.png" not in sweeps.sweep(tmp_path, "fast", **options).files
     assert not (tmp_path / "recall.png").exists()
+
+
+def test_other_levels_of_some_conditions():
+    chosen = {"seeds": [0], "sources": ["coins"], "conditions": ["gain", "noise"]}
+    (batch,) = work_module.batches("fast", **chosen, levels={"gain": [0.5, 1]})
+    assert dict(batch.levels) == {"gain": (0.5, 1), "noise": CONDITIONS["noise"].few_levels}
+    with pytest.raises(ValueError, match="levels: expected one of gain"):
+        work_module.batches("fast", **chosen, levels={"glare": [1]})
