@@ -35,6 +35,7 @@ Wings
     lab             scenes with exact truth: rendering, crowds, missions; ghosts (false crossings of shadows) predicted and counted
 Above them
     reproduce       notebooks run, figures and metrics published
+    course          what the chapters are taught with: exercises that answer back, drawings, copies; the book
     cli             the command ``occlib``
 
 >>> import occlib
@@ -59,7 +60,7 @@ _NAMES = {
 }
 _ROOMS = ["settings", "running", "floor_marks", "localization", "registration", "tracking", "identification"]
 _ROOMS += ["finding", "lens", "formats", "plotting", "base"]
-_WINGS = ["explaining", "live", "robots", "study", "lab", "reproduce"]
+_WINGS = ["explaining", "live", "robots", "study", "lab", "reproduce", "course"]
 
 # Loaded when first used: `import occlib` and `occlib --help` must not wait for OpenCV and Numba.
 __getattr__, __dir__, __all__ = lazy_loader.attach(__name__, [*_NAMES, *_ROOMS, *_WINGS], _NAMES)

@@ -7,6 +7,7 @@ Files are written with OpenCV alone, so that a wrong channel order or layout in 
 from __future__ import annotations
 
 import json
+import os
 import signal
 import sys
 from collections.abc import Callable, Sequence
@@ -25,6 +26,8 @@ from occlib.recordings import open_recording
 
 pytest.register_assert_rewrite("helpers")
 collect_ignore_glob = ["bench_*.py"]  # scripts, without tests
+if not os.environ.get("OCCLIB_BROWSER"):
+    collect_ignore_glob.append("browser/*")  # they need Chromium: `make test-browser`
 if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
     # As in `nohup make test &`. Whatever is ignored is so in child processes, too, and tests interrupt theirs; a handler,
     # even one that does nothing, is not inherited.

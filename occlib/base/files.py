@@ -21,6 +21,16 @@ from occlib.base.arrays import Image
 from occlib.base.interrupts import uninterrupted
 
 
+def read_text(path: str | Path) -> str:
+    """The content of a text file in UTF-8; ``ValueError`` in one line if it cannot be read."""
+    try:
+        return Path(path).read_text(encoding="utf-8")
+    except OSError as error:
+        raise ValueError(f"{path}: cannot read ({error.strerror})") from None
+    except UnicodeDecodeError:
+        raise ValueError(f"{path}: not a text in UTF-8") from None
+
+
 def read_yaml(path: str | Path) -> Any:
     """The content of a YAML file; ``ValueError`` in one line if it cannot be read or is not YAML."""
     try:

@@ -1,0 +1,1 @@
+"""What the chapters call: their tables and their longer drawings. One module a chapter, named after the notebook."""
