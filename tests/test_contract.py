@@ -116,5 +116,5 @@ def test_an_error_is_one_line_and_not_zero(capsys: pytest.CaptureFixture[str]) -
 
 def test_continuous_integration_runs_the_test_command_of_the_readme() -> None:
     lines = [line for line in (ROOT / ".ci/run").read_text().splitlines() if line and not line.startswith("#")]
-    assert lines[-1] == "make test"
+    assert "make test" in lines
     assert re.search(r"^    make test\b", (ROOT / "README.md").read_text(encoding="utf-8"), re.M)

@@ -164,9 +164,9 @@ def test_each_extra_that_the_code_names_brings_the_package() -> None:
                 )
                 if extra:  # but in base.extras itself, both are literals
                     named.add((package.partition(".")[0], extra))
-    assert {extra for _, extra in named} == {"study", "live", "ros", "ros2", "dask", "render", "notebooks"}
+    assert {extra for _, extra in named} == {"study", "live", "ros", "ros2", "dask", "render", "notebooks", "book"}
     for package, extra in named:
-        if package in brought_by and package != "drjit":  # mitsuba brings it
+        if package in brought_by and package not in ("drjit", "traitlets"):  # mitsuba and anywidget bring them
             assert {name.lower() for name in brought_by[package]} & distributions(extra), (package, extra)
 
 
@@ -230,7 +230,8 @@ def test_the_wheel_holds_every_module_and_nothing_else(wheel: Path) -> None:
         names = {name for name in archive.namelist() if ".dist-info/" not in name}
         extra = {name.partition(".dist-info/")[2] for name in archive.namelist()} - {""}
     modules = {path.relative_to(ROOT).as_posix() for path in (ROOT / "occlib").rglob("*.py")}
-    assert names == modules | {"occlib/py.typed"} | {f"occlib/data/{name}" for name in OWN_DATA}
+    others = {"occlib/py.typed", "occlib/course/explorable/explorable.js"}
+    assert names == modules | others | {f"occlib/data/{name}" for name in OWN_DATA}
     assert {"METADATA", "entry_points.txt", "licenses/LICENSE"} <= extra
 
 

@@ -14,6 +14,14 @@ from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
+from occlib.course.drawings import (
+    cover_heads,
+    fill_hull,
+    frame_strip,
+    lamps_and_shadows,
+    outline_cylinders,
+    views_and_map,
+)
 from occlib.explaining.cylinders import Cylinder
 from occlib.explaining.evidence import PolarWarp
 from occlib.formats import TrueObject, Truth
@@ -34,14 +42,6 @@ from occlib.plotting import (
     show_image,
     show_map,
     show_views_on_floor,
-)
-from occlib.reproduce.figures import (
-    cover_heads,
-    fill_hull,
-    frame_strip,
-    lamps_and_shadows,
-    outline_cylinders,
-    views_and_map,
 )
 from occlib.tracking import ObjectVector
 
@@ -80,11 +80,12 @@ def test_each_camera_keeps_its_colour_and_no_two_of_eight_share_one() -> None:
 
 
 def test_new_figure_is_no_business_of_pyplot() -> None:
+    others = plt.get_fignums()
     fig, axes = new_figure(3, 2, width=6, height=3)
     assert axes.shape == (2, 3)
     assert fig.get_size_inches().tolist() == [6, 3]
     assert isinstance(new_figure()[1], Axes)
-    assert plt.get_fignums() == []
+    assert plt.get_fignums() == others
 
 
 @pytest.mark.parametrize(("dtype", "top"), [(np.uint8, 255), (bool, 1)])
