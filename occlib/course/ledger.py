@@ -205,11 +205,6 @@ def markdown_table(claims: Sequence[Claim], which: str = "headline", *, root: st
     return "\n\n".join(parts)
 
 
-def ledger_tables(root: str | Path | None = None) -> str:
-    """The whole ledger in Markdown, for the book."""
-    return markdown_table(load_claims(root=root), "all", root=root)
-
-
 def _entry(claim: Claim, metrics: Mapping[str, float]) -> str:
     """An entry of the whole ledger: what the paper says and the verdict, then what speaks for it, a line each."""
     places = ", ".join(f"`{place}`" for place in [*claim.implemented, *claim.test])
