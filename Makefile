@@ -5,10 +5,11 @@ PYTHON ?= python3
 JOBS ?= 2
 BIN := .venv/bin
 READY := .venv/.ready
+ROOMS ?= some
 NOTEBOOKS := $(wildcard notebooks/*.ipynb)
 
 .DEFAULT_GOAL := help
-.PHONY: help setup reproduce test test-browser check lint format ledger bench book course clean
+.PHONY: help setup reproduce test test-browser check lint format ledger bench bench-rooms rooms book course clean
 
 help:  ## this list
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  make \1|\2/p' Makefile | column -t -s '|' 2>/dev/null \
@@ -56,6 +57,12 @@ bench: $(READY)  ## cost of the pipeline, of the matching measures and of the br
 	$(BIN)/python tests/bench_pipeline.py
 	$(BIN)/python tests/bench_matching.py
 	$(BIN)/python tests/bench_broadcast.py
+
+bench-rooms: $(READY)  ## every profile on every room and real recording at hand: what has changed, and docs/rooms.md
+	$(BIN)/python -m occlib.study.rooms --jobs $(JOBS)
+
+rooms: $(READY)  ## render random rooms to the cache: ten of those that are reported; ROOMS=all for the 60 of both lists
+	$(BIN)/python -m occlib.lab $(ROOMS)
 
 book: $(READY)  ## make the book from the results of make reproduce, in docs/_build/html
 	@$(BIN)/python -m occlib.course.book

@@ -6,6 +6,7 @@ The chain
     pipeline        Fig 3: frames in, map and objects out
     finding         objects as regions of the fused evidence
     identification  sections 3, 4: known objects in each view by SSD, and their actual size
+    memory          what is not seen now stays on the map for a moment
     settings        the profiles paper, and, recommended; each stage's own settings stand beside its code
     running         a recording run through the chain, its results on disk
 The paper's stages, none of which imports another
@@ -59,7 +60,7 @@ _NAMES = {
     "metrics": ["evaluate"],
 }
 _ROOMS = ["settings", "running", "floor_marks", "localization", "registration", "tracking", "identification"]
-_ROOMS += ["finding", "lens", "formats", "plotting", "base"]
+_ROOMS += ["finding", "memory", "lens", "formats", "plotting", "base"]
 _WINGS = ["explaining", "live", "robots", "study", "lab", "reproduce", "course"]
 
 # Loaded when first used: `import occlib` and `occlib --help` must not wait for OpenCV and Numba.

@@ -111,6 +111,14 @@ class Floor:
         """Fractional cell ``(ix, iy)`` of points in m; cell centres are at integers. Shape (N, 2)."""
         return apply_homography(np.linalg.inv(self.cell_to_floor), points_m)
 
+    def contains(self, point_m: tuple[float, float]) -> bool:
+        """Whether a point (x, y) in m lies on the floor.
+
+        >>> Floor((0, 4), (1, 2), 0.5).contains((4.1, 1.5))
+        False
+        """
+        return all(low <= at <= high for at, (low, high) in zip(point_m, (self.x, self.y), strict=True))
+
     def distance_m(self, mask: Mask) -> FloatArray:
         """Distance in m from every cell's centre to the centre of the nearest cell of a mask (ny, nx); 0 inside.
 

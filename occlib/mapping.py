@@ -24,12 +24,18 @@ from occlib.geometry import Floor
 FREE, OCCUPIED, UNKNOWN = 0, 100, -1
 
 
-BLIND, ONE_VIEW, DISAGREE, UNCONFIRMED = 1, 2, 3, 4
+BLIND, ONE_VIEW, DISAGREE, UNCONFIRMED, NOT_SEEN = 1, 2, 3, 4, 5
 
 
-REASONS = {BLIND: "no camera sees it", ONE_VIEW: "one view only", DISAGREE: "views disagree", UNCONFIRMED: "new"}
-"""Why a cell is unknown: blind; foreground in the only view that is left; foreground that the objects on the map explain; or
-something new that may be a ghost."""
+REASONS = {
+    BLIND: "no camera sees it",
+    ONE_VIEW: "one view only",
+    DISAGREE: "views disagree",
+    UNCONFIRMED: "new",
+    NOT_SEEN: "not seen now",
+}
+"""Why a cell is unknown: blind; foreground in the only view that is left; foreground that the objects on the map explain;
+something new that may be a ghost; or what looks like bare floor, where an object was a moment ago that is not seen now."""
 
 
 MapData: TypeAlias = npt.NDArray[np.int8]
@@ -102,6 +108,21 @@ def occupancy_map(occupied: Mask, visible: Mask, floor: Floor) -> OccupancyMap:
     return OccupancyMap(np.maximum(claimed, visible.view(np.int8)) + np.int8(UNKNOWN), floor)
 
 
+class Remembered(NamedTuple):
+    """Cells of the objects that are not seen now but were a moment ago, bool (ny, nx) each: see :mod:`occlib.memory`.
+
+    Parameters
+    ----------
+    expected
+        Where they are expected now.
+    way
+        Where they may be: there, where they were seen last, and all between.
+    """
+
+    expected: Mask
+    way: Mask
+
+
 def instant_map(
     labels: npt.NDArray[np.int32],
     unconfirmed: Mask,
@@ -110,8 +131,13 @@ def instant_map(
     visible: Mapping[str, Mask],
     needed: int,
     floor: Floor,
+    remembered: Remembered | None = None,
 ) -> tuple[OccupancyMap, npt.NDArray[np.uint8]]:
     """The map of one instant: occupied where an object is, free where a view looks at bare floor, else unknown.
+
+    Where an object was a moment ago that is not seen now, no view is believed that says "bare floor": that it says so, wrongly, may
+    be just why the object is not seen. Such cells are not free. They are occupied where the object is expected now and no view says
+    so.
 
     Parameters
     ----------
@@ -129,6 +155,8 @@ def instant_map(
         So many cameras must see a cell before it is called occupied.
     floor
         The map's floor.
+    remembered
+        Cells of objects that are not seen now, if there are any.
 
     Returns
     -------
@@ -147,8 +175,12 @@ def instant_map(
     reason[~bare & (count < needed) | lost] = ONE_VIEW
     reason[unconfirmed] = UNCONFIRMED
     reason[count == 0] = BLIND
-    reason[labels > 0] = 0
-    return occupancy_map(labels > 0, reason == 0, floor), reason
+    taken = labels > 0
+    if remembered is not None:
+        taken |= remembered.expected & ~bare
+        reason[remembered.way & (reason == 0)] = NOT_SEEN
+    reason[taken] = 0
+    return occupancy_map(taken, reason == 0, floor), reason
 
 
 def inflate(grid: OccupancyMap, radius_m: float) -> OccupancyMap:

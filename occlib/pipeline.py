@@ -1,7 +1,7 @@
 """Frames in, a map and its objects out: the paper's chain (Fig 3), readable from top to bottom in :meth:`Pipeline.process`.
 
 Each view is checked and its evidence taken; the evidence is warped to the floor; a finder makes objects of it; a tracker
-gives them identity and velocity; the map says what is occupied, free and unknown.
+gives them identity and velocity; the map says what is occupied, free and unknown, and remembers for a moment what is not seen.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from occlib.foreground.health import CameraMonitor
 from occlib.foreground.learning import learn_background
 from occlib.geometry import Rig
 from occlib.mapping import OccupancyMap, instant_map
+from occlib.memory import FootprintMemory
 from occlib.recordings import Recording, check_size
 from occlib.settings import PROFILES, Settings, settings_for
 from occlib.tracking import ObjectVector, Tracker
@@ -51,6 +52,9 @@ class FrameResult:
         uint8 (ny, nx), why a cell is unknown: :data:`occlib.mapping.REASONS`; 0 where it is known.
     objects
         The object vectors M{p, V, C} of what is confirmed.
+    coasting
+        Those of what was confirmed and is not seen now, where it is expected, while it is on the floor. Its cells are on the map, not
+        in ``labels``: see :mod:`occlib.memory`.
     excluded
         The cameras that are not to be trusted now, and why: missing, black, covered or frozen.
     hidden_by
@@ -64,6 +68,7 @@ class FrameResult:
     map: OccupancyMap
     reason: npt.NDArray[np.uint8]
     objects: list[ObjectVector]
+    coasting: list[ObjectVector]
     excluded: dict[str, str]
     hidden_by: list[dict[str, tuple[float, int]]]
 
@@ -111,6 +116,7 @@ class Pipeline:
         self.floor_views = FloorViews(rig)
         self.finder: Finder = settings.finder.build(self.floor_views, self.backgrounds, templates or {})
         self.tracker = Tracker(settings.tracker)
+        self.memory = FootprintMemory(rig.floor)
 
     def process(self, images: Mapping[str, Image | None], time: float) -> FrameResult:
         """Run one instant through the chain.
@@ -133,6 +139,9 @@ class Pipeline:
         found = self.finder.find(instant)
         objects = self.tracker.update(found.observations, time, found.identify)
         labels, unconfirmed = confirmed_only(found.labels, objects)
+        confirmed = [i for i, vector in enumerate(objects) if vector.id]
+        coasting = [vector for vector in self.tracker.coasting() if self.rig.floor.contains(vector.position_m)]
+        remembered = self.memory.update(labels, [objects[i] for i in confirmed], coasting)
         grid, reason = instant_map(
             labels,
             unconfirmed,
@@ -141,8 +150,8 @@ class Pipeline:
             self.floor_views.visible,
             self.floor_views.needed,
             self.rig.floor,
+            remembered,
         )
-        confirmed = [i for i, vector in enumerate(objects) if vector.id]
         hidden_by = _hidden_by(found, objects, list(instant.images))
         return FrameResult(
             time=time,
@@ -152,6 +161,7 @@ class Pipeline:
             map=grid,
             reason=reason,
             objects=[objects[i] for i in confirmed],
+            coasting=coasting,
             excluded=excluded,
             hidden_by=[hidden_by[i] for i in confirmed],
         )
@@ -193,6 +203,8 @@ def backgrounds_of(recording: Recording, *, samples: int = 60, progress: bool = 
     backgrounds = {name: average_background(images) for name, images in recording.background_images().items()}
     if unknown := recording.without_background:
         pictures = recording.sample(samples)
+        if bare := [name for name in unknown if not pictures[name]]:
+            raise ValueError(f"{recording.path / 'frames'}: no picture of {', '.join(bare)} can be read")
         for name in tqdm(unknown, desc="learning the background", unit="camera", disable=None if progress else True):
             backgrounds[name] = learn_background(pictures[name])
     return {name: backgrounds[name] for name in recording.sources}

@@ -35,8 +35,8 @@ CAMERA_COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E0
 TRUTH_COLOUR = "#D55E00"
 
 
-REASON_COLOURS = {1: "#BFBFBF", 2: "#FBE3B5", 3: "#D9C9E8", 4: "#CDE8D5"}
-"""Why a cell is unknown (:data:`occlib.mapping.REASONS`): grey, pale orange, violet, green; in grey print dark to light."""
+REASON_COLOURS = {1: "#BFBFBF", 2: "#FBE3B5", 3: "#D9C9E8", 4: "#CDE8D5", 5: "#9CC3E6"}
+"""Why a cell is unknown (:data:`occlib.mapping.REASONS`): grey, pale orange, violet, green, blue."""
 
 
 def camera_colours(names: Sequence[str]) -> dict[str, str]:
@@ -117,12 +117,14 @@ def show_map(
     grid: OccupancyMap,
     objects: Sequence[ObjectVector] = (),
     *,
+    coasting: Sequence[ObjectVector] = (),
     truth: Sequence[TrueObject] = (),
     title: str = "",
     reason: npt.NDArray[np.uint8] | None = None,
 ) -> None:
     """The occupancy map (white free, black occupied, grey unknown), its objects and, dashed, the true footprints.
 
+    Objects that coast, not seen now, are dashed rings where they are expected.
     With ``reason``, uint8 (ny, nx) as in ``FrameResult``, what is unknown is tinted by its reason, and a legend names
     those that occur.
     """
@@ -134,13 +136,27 @@ def show_map(
     for vector in objects:
         (x, y), (vx, vy) = vector.position_m, vector.velocity_mps
         ax.plot(x, y, "o", color=np.array(vector.colour) / 255, markeredgecolor="white", markersize=7)
-        number = ax.annotate(
-            str(vector.id), (x, y), xytext=(6, 6), textcoords="offset points", fontsize=9, color="white"
-        )
-        number.set_path_effects([withStroke(linewidth=2.5, foreground="#0072B2")])  # on black and on white alike
+        _number(ax, vector)
         if np.hypot(vx, vy) > 0.05:
             ax.annotate("", (x + vx, y + vy), (x, y), arrowprops={"arrowstyle": "->", "color": "#0072B2"})
+    for vector in coasting:
+        _ring(ax, vector.position_m, 8, np.array(vector.colour) / 255)
+        _number(ax, vector)
     show_footprints(ax, truth)
+
+
+def _number(ax: Axes, vector: ObjectVector) -> None:
+    """An object's id beside its place on the map."""
+    number = ax.annotate(
+        str(vector.id), vector.position_m, xytext=(6, 6), textcoords="offset points", fontsize=9, color="white"
+    )
+    number.set_path_effects([withStroke(linewidth=2.5, foreground="#0072B2")])  # on black and on white alike
+
+
+def _ring(ax: Axes, at: npt.ArrayLike, size: float, colour: Any) -> None:
+    """A dashed ring, of a size in points, around what is not seen now."""
+    x, y = np.ravel(at)
+    ax.scatter([x], [y], s=size**2, facecolors="none", edgecolors=[colour], linestyles="--", linewidths=1.4, zorder=3)
 
 
 def _show_reasons(ax: Axes, shade: FloatArray, reason: npt.NDArray[np.uint8], floor: Floor, title: str) -> None:
@@ -213,7 +229,7 @@ def overview(
     """The views of an instant, their foreground on the floor, and the map: what ``occlib run`` saves.
 
     A camera without a picture has an empty panel, and one that was left out says why. What is unknown on the map is
-    tinted by its reason.
+    tinted by its reason. An object that is not seen now is a dashed ring where it is expected.
     """
     names = list(rig.cameras)
     colours = camera_colours(names)
@@ -227,21 +243,28 @@ def overview(
         show_view(ax, rig[name], images.get(name), name, colour=colours[name], reason=result.excluded.get(name, ""))
         limits = ax.get_xlim(), ax.get_ylim()
         outline_on_image(ax, rig[name], rim, color=colours[name], linestyle=":")
-        for vector in () if name in result.excluded else result.objects:
+        for vector in () if name in result.excluded else [*result.objects, *result.coasting]:
             pixel = rig[name].floor_to_pixels([vector.position_m])
             if rig[name].inside(pixel)[0]:
-                hidden = name in vector.hidden_in
-                ax.plot(*pixel.T, "o", markersize=14, markerfacecolor="none", markeredgewidth=1.8,
-                        color="white", linestyle="none", alpha=0.5 if hidden else 1.0)  # fmt: skip
-                ax.annotate(f"{vector.id}{' hidden' if hidden else ''}", pixel[0], xytext=(9, -12), color="white",
+                unseen, hidden = vector in result.coasting, name in vector.hidden_in
+                if unseen:
+                    _ring(ax, pixel, 14, "white")
+                else:
+                    ax.plot(*pixel.T, "o", markersize=14, markerfacecolor="none", markeredgewidth=1.8,
+                            color="white", linestyle="none", alpha=0.5 if hidden else 1.0)  # fmt: skip
+                state = " not seen" if unseen else " hidden" if hidden else ""
+                ax.annotate(f"{vector.id}{state}", pixel[0], xytext=(9, -12), color="white",
                             textcoords="offset points", fontsize=9, fontweight="bold")  # fmt: skip
         ax.set(xlim=limits[0], ylim=limits[1])
     show_views_on_floor(
         fig.add_subplot(grid[1, :columns]), result.views, floor, "foreground on the floor", cameras=names
     )
     count = f"{len(result.objects)} object{'' if len(result.objects) == 1 else 's'}"
+    if result.coasting:
+        count += f", {len(result.coasting)} not seen now"
     ax = fig.add_subplot(grid[1, columns:])
-    show_map(ax, result.map, result.objects, truth=truth, title=f"map: {count}", reason=result.reason)
+    show_map(ax, result.map, result.objects, coasting=result.coasting, truth=truth, title=f"map: {count}",
+             reason=result.reason)  # fmt: skip
     if title:
         fig.suptitle(title, fontsize=11, parse_math=False)
     return fig

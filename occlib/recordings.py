@@ -1,7 +1,7 @@
 """Recordings: folders of pictures or videos in, synchronised frames out.
 
 The layout of a recording (``rig.yaml``, ``background/``, ``frames/``, ``truth.json``) is part of the
-contract in the README. How a camera's pictures may be stored is a matter of the :data:`FORMATS`.
+contract in the README. How a camera's pictures may be stored is a matter of :mod:`occlib.formats.footage`.
 """
 
 from __future__ import annotations
@@ -9,28 +9,26 @@ from __future__ import annotations
 import os
 import re
 import sys
-from collections.abc import Callable, Iterator, Sequence
+import warnings
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from importlib import resources
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 
 from occlib.base import checks
 from occlib.base.arrays import Image
-from occlib.base.files import file_hash, read_image, read_yaml, sha256, write_file
+from occlib.base.files import file_hash, read_yaml, sha256, write_file
+from occlib.formats.footage import DEFAULT_FPS, Footage, expected_files, open_footage
 from occlib.geometry import Rig
-
-IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg")
-"""Of the pictures in a folder, in small or capital letters."""
-
-VIDEO_SUFFIXES = (".mp4", ".avi")
-"""Of videos; the first that is there is taken."""
 
 EMPTY_FRAMES = 60
 """At most this many pictures of the empty floor are read: their mean is as sure as the camera's noise lets it be."""
+
+MOST_NAMES = 4
+"""Files that a warning names before it counts the rest: what fits on a line or two."""
 
 DATA = Path(str(resources.files("occlib") / "data"))
 """What comes with the package: the catalogue of public recordings, and the calibration and truth made for them."""
@@ -54,132 +52,14 @@ def lab_folder() -> Path:
 
 LAB = lab_folder()
 
+ROOMS = LAB.parent / "rooms"
+"""The random rooms that ship with the repository, beside the lab."""
+
 
 FETCH_TIMEOUT_S = 30.0
 """A server that says nothing for so long is given up."""
 
 
-DEFAULT_FPS = 10.0
-"""Frames a second of pictures whose ``rig.yaml`` says nothing."""
-
-
-os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # a corrupt video is reported here, in one line, not by FFmpeg
-
-
-# --- one camera's pictures ----------------------------------------------------------------------------
-@dataclass(frozen=True)
-class Footage:
-    """One camera's pictures on disk, in order.
-
-    Parameters
-    ----------
-    files
-        The file of each picture, or the one file that holds them all.
-    numbers
-        The number of each picture, ascending: from its name, or else its position, from 0.
-    read
-        ``read(positions)`` yields the pictures at these positions, ascending, uint8 RGB (H, W, 3). A picture that cannot be
-        read is a ``ValueError`` that names the file.
-    named
-        Whether the numbers come from names. Only then can it be told which pictures a camera lacks.
-    fps
-        Frames a second, if the file says so.
-    """
-
-    files: Path | tuple[Path, ...]
-    numbers: tuple[int, ...]
-    read: Callable[[Sequence[int]], Iterator[Image]]
-    named: bool = False
-    fps: float | None = None
-
-
-FORMATS: dict[str, Callable[[Path], Footage | None]] = {}
-"""Ways to store a camera's pictures: what follows ``frames/<camera>``, and the function that opens it. The first that fits counts."""
-
-
-def input_format(pattern: str) -> Callable[[Callable[[Path], Footage | None]], Callable[[Path], Footage | None]]:
-    """Decorator: a function that opens a camera's pictures joins :data:`FORMATS`.
-
-    Parameters
-    ----------
-    pattern
-        What a user is told to put after ``frames/<camera>``, such as ``.mp4|avi``.
-
-    Notes
-    -----
-    The function gets ``frames/<camera>``, a path without suffix, and returns the :class:`Footage` there, or ``None`` if there
-    is none of its kind. ``background/<camera>`` is opened in the same way.
-    """
-
-    def register(function: Callable[[Path], Footage | None]) -> Callable[[Path], Footage | None]:
-        FORMATS[pattern] = function
-        return function
-
-    return register
-
-
-def open_footage(place: Path) -> Footage | None:
-    """A camera's pictures at ``frames/<camera>`` or ``background/<camera>``, in whichever of :data:`FORMATS`; ``None`` if there are none."""
-    return next((found for open_format in FORMATS.values() if (found := open_format(place)) is not None), None)
-
-
-@input_format("/*.png|jpg")
-def _pictures(folder: Path) -> Footage | None:
-    if not folder.is_dir():
-        return None
-    paths = sorted(
-        (p for p in folder.iterdir() if p.suffix.lower() in IMAGE_SUFFIXES and not p.name.startswith(".")),
-        key=lambda p: (_number(p) is None, _number(p) or 0, p.name),
-    )
-    if not paths:
-        return None
-    numbers = [number for number in map(_number, paths) if number is not None]
-    named = len(set(numbers)) == len(paths)  # each has a number of its own
-    return Footage(
-        tuple(paths),
-        tuple(numbers) if named else tuple(range(len(paths))),
-        lambda positions: (read_image(paths[i]) for i in positions),
-        named,
-    )
-
-
-def _number(path: Path) -> int | None:
-    """The number at the end of a picture's name, or the only one in it."""
-    digits = re.findall(r"\d+$", path.stem) or re.findall(r"\d+", path.stem)
-    return int(digits[0]) if len(digits) == 1 else None
-
-
-@input_format(".mp4|avi")
-def _video(place: Path) -> Footage | None:
-    path = next((p for s in VIDEO_SUFFIXES if (p := place.with_name(place.name + s)).is_file()), None)
-    if path is None:
-        return None
-    video = cv2.VideoCapture(str(path))
-    try:
-        count, fps = int(video.get(cv2.CAP_PROP_FRAME_COUNT)), float(video.get(cv2.CAP_PROP_FPS))
-    finally:
-        video.release()
-    if count < 1:
-        raise ValueError(f"{path}: corrupt or empty video")
-    return Footage(path, tuple(range(count)), lambda positions: _frames(path, positions, count), fps=fps or DEFAULT_FPS)
-
-
-def _frames(path: Path, positions: Sequence[int], count: int) -> Iterator[Image]:
-    wanted = set(positions)
-    video = cv2.VideoCapture(str(path))
-    try:
-        for position in range(max(wanted, default=-1) + 1):
-            read = video.grab()  # decoding is the slow part, and only what is wanted needs it
-            image = video.retrieve()[1] if read and position in wanted else None
-            if not read or (position in wanted and image is None):
-                raise ValueError(f"{path}: corrupt or short video, frame {position} of {count} cannot be read")
-            if image is not None:
-                yield cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
-    finally:
-        video.release()
-
-
-# --- all cameras together -----------------------------------------------------------------------------
 @dataclass(frozen=True)
 class Recording:
     """A recording on disk: where each camera's frames are, and which instants there are.
@@ -212,9 +92,28 @@ class Recording:
     def images(self, frames: Sequence[int] | None = None) -> Iterator[tuple[int, dict[str, Image]]]:
         """Yield ``(frame, {camera: uint8 RGB (H, W, 3)})`` for the frames asked for, in order.
 
-        A camera that has no picture of an instant is left out of its dictionary.
+        A camera that has no picture of an instant, or a damaged one, is left out of its dictionary. Which are damaged is told
+        at the end, in a ``Notice``; if no picture was whole, that is a ``ValueError``.
         """
-        wanted = set(self.frames if frames is None else frames)
+        damaged: dict[str, list[str]] = {}
+        whole = 0
+        for frame, images in self._read(self.frames if frames is None else frames):
+            for name, image in images.items():
+                if image is None:
+                    source = self.sources[name]
+                    damaged.setdefault(name, []).append(source.name(source.numbers.index(frame)))
+            seen = {name: image for name, image in images.items() if image is not None}
+            whole += len(seen)
+            yield frame, seen
+        for name, files in damaged.items():
+            told = f"{self.path / 'frames'}: {name} is missing where its pictures cannot be read: {_some(files)}"
+            if not whole:
+                raise ValueError(told)
+            _notice(told)
+
+    def _read(self, frames: Sequence[int]) -> Iterator[tuple[int, dict[str, Image | None]]]:
+        """As :meth:`images`, with ``None`` for what is damaged."""
+        wanted = set(frames)
         unknown = sorted(wanted - set(self.frames))
         if unknown:
             raise ValueError(
@@ -229,15 +128,17 @@ class Recording:
             if frame in wanted:
                 images = {name: next(reader) for name, reader in readers.items() if frame in own[name]}
                 for name, image in images.items():
-                    check_size(image, self.rig[name].size, f"{self.path.name} frame {frame} of {name}")
+                    if image is not None:
+                        check_size(image, self.rig[name].size, f"{self.path.name} frame {frame} of {name}")
                 yield frame, images
 
     def sample(self, count: int) -> dict[str, list[Image]]:
-        """At most ``count`` frames of every camera, spread evenly over the recording; those it lacks are left out."""
+        """At most ``count`` frames of every camera, spread evenly over the recording; those it lacks or that are damaged are left out."""
         pictures: dict[str, list[Image]] = {name: [] for name in self.sources}
-        for _, images in self.images([self.frames[i] for i in _spread(len(self.frames), count)]):
+        for _, images in self._read([self.frames[i] for i in _spread(len(self.frames), count)]):
             for name, image in images.items():
-                pictures[name].append(image)
+                if image is not None:
+                    pictures[name].append(image)
         return pictures
 
     @property
@@ -246,23 +147,69 @@ class Recording:
         return [name for name in self.sources if open_footage(self.path / "background" / name) is None]
 
     def background_images(self) -> dict[str, list[Image]]:
-        """The pictures of the empty floor for each camera; a camera without any is left out."""
-        return empty_floor_images(self.path / "background", self.rig)
+        """The pictures of the empty floor for each camera; a camera without any is left out.
+
+        What lies in ``background/`` and belongs to no camera, or cannot be read, is named in a ``Notice``.
+        """
+        folder, cameras = self.path / "background", Rig.load(self.path / "rig.yaml").cameras
+        if ignored := _ignored(folder, list(self.rig.cameras), set(cameras) - set(self.rig.cameras)):
+            _notice(f"{folder}: ignored {_some(ignored)} (expected {expected_files('CAMERA')} of {', '.join(cameras)})")
+        return empty_floor_images(folder, self.rig)
 
 
 def empty_floor_images(folder: str | Path, rig: Rig) -> dict[str, list[Image]]:
     """The empty floor in ``folder/<camera>``, pictures or a video: for each camera uint8 RGB (H, W, 3) images.
 
-    Of more than :data:`EMPTY_FRAMES` as many are read, spread evenly. A camera without any is left out.
+    Of more than :data:`EMPTY_FRAMES` as many are read, spread evenly. A camera without any is left out. A damaged picture, one
+    of the wrong size, or both pictures and a video of one camera are a ``ValueError``.
     """
-    found: dict[str, list[Image]] = {}
-    for name, camera in rig.cameras.items():
-        if (source := open_footage(Path(folder) / name)) is not None:
-            positions = _spread(len(source.numbers), EMPTY_FRAMES)
-            found[name] = list(source.read(positions))
-            for i, image in zip(positions, found[name], strict=True):
-                check_size(image, camera.size, f"{source.files if isinstance(source.files, Path) else source.files[i]}")
-    return found
+    sources = {name: open_footage(Path(folder) / name) for name in rig.cameras}
+    return {name: _empty_floor(source, rig[name].size) for name, source in sources.items() if source is not None}
+
+
+def _empty_floor(source: Footage, size: tuple[int, int]) -> list[Image]:
+    """Pictures of the empty floor; of a video those that can be decoded."""
+    positions, images = _spread(len(source.numbers), EMPTY_FRAMES), []
+    for i, image in zip(positions, source.read(positions), strict=True):
+        what = source.files if isinstance(source.files, Path) else source.files[i]
+        if image is not None:
+            check_size(image, size, f"{what}")
+            images.append(image)
+        elif what != source.files:
+            raise ValueError(f"{what}: corrupt or not an image (expected PNG or JPEG)")
+    if not images:
+        raise ValueError(f"{source.files}: corrupt video, no frame can be read")
+    if source.promised > len(source.numbers):
+        _notice(f"{source.files}: {len(source.numbers)} of {source.promised} promised frames can be read")
+    return images
+
+
+def _ignored(folder: Path, cameras: Sequence[str], others: set[str]) -> list[str]:
+    """What lies in the folder, or in that of a camera, and is none of the pictures; hidden files and other cameras' aside."""
+    sources = {name: source for name in cameras if (source := open_footage(folder / name)) is not None}
+    own = {source.entry(folder / name): source.files for name, source in sources.items()}
+    names: list[str] = []
+    for entry in _visible(folder):
+        files = own.get(entry)
+        if isinstance(files, tuple):
+            names += [f"{entry.name}/{path.name}" for path in _visible(entry) if path not in files]
+        elif files is None and not {entry.name, entry.stem} & others and (entry.is_file() or _visible(entry)):
+            names.append(f"{entry.name}/" if entry.is_dir() else entry.name)
+    return names
+
+
+def _visible(folder: Path) -> list[Path]:
+    return sorted(p for p in folder.iterdir() if not p.name.startswith(".")) if folder.is_dir() else []
+
+
+def _notice(text: str) -> None:
+    warnings.warn(text, checks.Notice, stacklevel=2)
+
+
+def _some(names: Sequence[str]) -> str:
+    """The first few names, and how many more there are."""
+    more = len(names) - MOST_NAMES
+    return ", ".join(names[:MOST_NAMES]) + (f" and {more} more" if more > 0 else "")
 
 
 def _spread(length: int, count: int) -> list[int]:
@@ -281,12 +228,13 @@ def open_recording(path: str | Path, cameras: Sequence[str] | None = None) -> Re
     """Open a recording and check that its views fit together.
 
     A camera may have dropped out for a while: of pictures that are numbered by their names, it may lack up to half, but
-    not the first, if another camera has them all. Anything else that does not match is an error.
+    not the first, if another camera has them all. Videos may be shorter than others, or than they promise: the recording
+    ends with the shortest, and a ``Notice`` says so. Anything else that does not match is an error.
 
     Parameters
     ----------
     path
-        The folder, or the name of one that ships in ``data/lab`` or was fetched.
+        The folder, or the name of one that ships in ``data/lab`` or ``data/rooms``, was fetched, or was rendered to the cache.
     cameras
         Names to use, in this order; all those of the rig for ``None``.
 
@@ -296,15 +244,18 @@ def open_recording(path: str | Path, cameras: Sequence[str] | None = None) -> Re
         In one line: no such folder, unreadable rig, a camera that is not in the rig or has no frames,
         views of different length.
     """
-    folder = next((place for place in (Path(path), LAB / path, cache_folder() / path) if place.is_dir()), None)
+    folder = find_folder(path)
     if folder is None:
         if str(path) in public_recordings():
             raise ValueError(f"{path}: not fetched yet; first: occlib data fetch {path}")
+        if number := re.fullmatch(r"room_(\d+)", str(path)):
+            raise ValueError(f"{path}: not rendered yet; first: python -m occlib.lab {number[1]}")
         raise ValueError(f"{path}: no such recording folder ({lab_recordings()})")
     rig = Rig.load(folder / "rig.yaml").select(cameras)
     sources = {name: _footage_of(folder, name) for name in rig.cameras}
     if any(isinstance(source.files, Path) for source in sources.values()):  # in a video, the position is the number
         sources = {n: replace(s, numbers=tuple(range(len(s.numbers)))) for n, s in sources.items()}
+    sources = _to_the_shortest(folder, sources)
     named = all(source.named for source in sources.values())
     most = max(sources, key=lambda name: len(sources[name].numbers))
     frames = sources[most].numbers
@@ -318,10 +269,36 @@ def open_recording(path: str | Path, cameras: Sequence[str] | None = None) -> Re
     return Recording(folder, rig, frames, fps, sources)
 
 
+def _to_the_shortest(folder: Path, sources: dict[str, Footage]) -> dict[str, Footage]:
+    """Where videos are shorter than others or than they promise, all views end with the shortest, and a ``Notice`` says so."""
+    lengths = {name: len(source.numbers) for name, source in sources.items()}
+    end = min(lengths.values())
+    short = {name for name, source in sources.items() if source.promised > lengths[name]}
+    videos = all(isinstance(source.files, Path) for source in sources.values())
+    if not (short or (videos and max(lengths.values()) > end)):
+        return sources
+    views: dict[str, list[str]] = {}
+    for name, source in sources.items():
+        if name in short or lengths[name] > end:
+            promised = f" of {source.promised} promised" if name in short else ""
+            file = source.entry(folder / "frames" / name).name
+            views.setdefault(f"{lengths[name]}{promised} frames can be read", []).append(file)
+    told = "; ".join(f"{', '.join(files)}: {state}" for state, files in views.items())
+    _notice(f"{folder}: ends at frame {end - 1} ({told})")
+    return {name: replace(source, numbers=source.numbers[:end]) for name, source in sources.items()}
+
+
+def find_folder(path: str | Path) -> Path | None:
+    """A folder, or that of a recording by its name: in ``data/lab``, in ``data/rooms``, or in the cache; ``None`` if there is none."""
+    places = (Path(path), LAB / path, ROOMS / path, cache_folder() / path)
+    return next((place for place in places if place.is_dir()), None)
+
+
 def lab_recordings() -> str:
-    """For messages: which recordings ``data/lab`` has, or why there is none."""
+    """For messages: which recordings ``data/lab`` and ``data/rooms`` have, or why there are none."""
     if LAB.is_dir():
-        return f"data/lab has {', '.join(sorted(p.parent.name for p in LAB.glob('*/rig.yaml')))}"
+        names = {folder: sorted(p.parent.name for p in folder.glob("*/rig.yaml")) for folder in (LAB, ROOMS)}
+        return "; ".join(f"data/{folder.name} has {', '.join(found)}" for folder, found in names.items() if found)
     return (
         "data/lab ships with the repository, not with the package: run this in the repository's folder, or set "
         "OCCLIB_LAB to its folder data/lab"
@@ -355,8 +332,7 @@ def parse_frames(text: str, frames: Sequence[int]) -> list[int]:
 def _footage_of(folder: Path, name: str) -> Footage:
     found = open_footage(folder / "frames" / name)
     if found is None:
-        expected = " or ".join(f"frames/{name}{pattern}" for pattern in FORMATS)
-        raise ValueError(f"{folder}: no frames for camera {name!r} (expected {expected})")
+        raise ValueError(f"{folder}: no frames for camera {name!r} (expected {expected_files(f'frames/{name}')})")
     return found
 
 

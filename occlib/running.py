@@ -171,10 +171,14 @@ class _Run:
 
 
 def objects_line(frame: int, result: FrameResult) -> str:
-    """A frame's line of ``objects.jsonl``, without the line break; ``excluded`` is there if a camera was left out."""
-    objects = [thing.to_dict() for thing in result.objects]
+    """A frame's line of ``objects.jsonl``, without the line break.
+
+    ``coasting`` is there if an object is not seen now, ``excluded`` if a camera was left out.
+    """
+    objects, coasting = ([each.to_dict() for each in some] for some in (result.objects, result.coasting))
     line: dict[str, Any] = {"frame": frame, "time": round(result.time, 6), "objects": objects}
-    return json.dumps({**line, "excluded": result.excluded} if result.excluded else line)
+    more = {"coasting": coasting, "excluded": result.excluded}
+    return json.dumps({**line, **{name: value for name, value in more.items() if value}})
 
 
 def frame_ranges(some: Sequence[int], frames: Sequence[int], *, most: int = MOST_RANGES) -> str:

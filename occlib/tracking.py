@@ -222,7 +222,7 @@ class TrackerSettings:
         ``max_missed_s``).
     max_missed_s
         An object is gone at the first frame that misses it after more than this many seconds unseen. Until
-        then it coasts: it keeps its identity but is not reported.
+        then it coasts: it keeps its identity, is not among the objects, and its cells on the map are not free.
     colour_weight_m
         Black against white counts as this many metres; decides between candidates at similar distance.
     confirm_s

@@ -87,7 +87,8 @@ def test_quoted_numbers_are_the_measured_ones(path: Path) -> None:
 
 @pytest.mark.parametrize("path", TEXTS, ids=name_of)
 def test_no_measured_number_is_without_its_mark(path: Path) -> None:
-    assert unmarked_numbers(path.read_text(encoding="utf-8"), GIVEN.get(name_of(path), CHOSEN)) == []
+    text = re.sub(r"<!-- rooms: all -->.*?<!-- end -->", "", path.read_text(encoding="utf-8"), flags=re.S)  # has a test
+    assert unmarked_numbers(text, GIVEN.get(name_of(path), CHOSEN)) == []
 
 
 def test_results_quote_many_numbers() -> None:

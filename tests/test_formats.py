@@ -17,11 +17,11 @@ from occlib.base.files import read_yaml
 from occlib.formats import DetectedObject, LabManifest, TrueObject, Truth, convert
 from occlib.formats.decoding import LARGEST, Metres, Polygon
 from occlib.formats.scene import RoomFile, SceneFile
-from occlib.recordings import DATA, LAB
+from occlib.recordings import DATA, LAB, ROOMS
 from occlib.tracking import ObjectVector
 
 ROOT = Path(__file__).parents[1]
-TRUTH_FILES = sorted(DATA.glob("*/truth.json")) + sorted(LAB.glob("*/truth.json"))
+TRUTH_FILES = [path for folder in (DATA, LAB, ROOMS) for path in sorted(folder.glob("*/truth.json"))]
 
 
 # --- objects.jsonl ---------------------------------------------------------------------------------
@@ -43,6 +43,17 @@ def test_what_the_tracker_writes_is_read_with_every_field(tmp_path: Path) -> Non
     assert msgspec.structs.asdict(first) == {**vector.to_dict(), "colour": (200, 30, 30), "hidden_in": ("cam2",)}
     assert first.size == 0.0301
     assert list(vector.to_dict()) == list(DetectedObject.__struct_fields__)
+
+
+def test_what_coasts_is_read_but_is_none_of_the_objects(tmp_path: Path) -> None:
+    path = tmp_path / "objects.jsonl"
+    path.write_text(
+        '{"frame": 3, "objects": [{"x": 1, "y": 2}], "coasting": [{"id": 4, "x": 0, "y": 0, "label": null}]}'
+    )
+    assert formats.load_objects(path) == {3: [DetectedObject(x=1.0, y=2.0)]}
+    path.write_text('{"frame": 3, "objects": [], "coasting": [{"x": 1}]}')
+    with pytest.raises(ValueError, match=r"objects.jsonl:1: coasting\[0\].y: expected finite metres, got None"):
+        formats.load_objects(path)
 
 
 GOOD = b'{"frame": 1, "objects": []}\n'
@@ -207,8 +218,9 @@ def test_scenes_and_their_room_are_what_the_structures_say(path: Path) -> None:
     assert convert(read_yaml(LAB / "room.yaml"), RoomFile).units == "m"
 
 
-def test_the_labs_manifest_is_what_the_structure_says() -> None:
-    manifest = convert(json.loads((LAB / "manifest.json").read_text()), LabManifest)
+@pytest.mark.parametrize("folder", [LAB, ROOMS], ids=lambda folder: folder.name)
+def test_a_manifest_is_what_the_structure_says(folder: Path) -> None:
+    manifest = convert(json.loads((folder / "manifest.json").read_text()), LabManifest)
     assert manifest.bytes == sum(entry.bytes for entry in manifest.files.values())
 
 
@@ -292,14 +304,18 @@ def test_the_schemas_in_docs_are_up_to_date(tmp_path: Path) -> None:
 def test_the_schemas_describe_the_files_that_ship() -> None:
     jsonschema = pytest.importorskip("jsonschema")
     samples = {
-        "rig": [read_yaml(path) for path in LAB.glob("*/rig.yaml")],
+        "rig": [read_yaml(path) for folder in (LAB, ROOMS) for path in folder.glob("*/rig.yaml")],
         "truth": [json.loads(path.read_text()) for path in TRUTH_FILES],
-        "scene": [read_yaml(path) for path in LAB.glob("*/scene.yaml")],
-        "room": [read_yaml(LAB / "room.yaml")],
-        "lab_manifest": [json.loads((LAB / "manifest.json").read_text())],
+        "scene": [read_yaml(path) for folder in (LAB, ROOMS) for path in folder.glob("*/scene.yaml")],
+        "room": [read_yaml(path) for path in (LAB / "room.yaml", *ROOMS.glob("*/room.yaml"))],
+        "lab_manifest": [json.loads((folder / "manifest.json").read_text()) for folder in (LAB, ROOMS)],
     }
+    entry = ObjectVector(1, (0.5, 1.0), (0.1, 0.0), 0.04, (200, 30, 30)).to_dict()
+    samples["objects"] = [{"frame": 3, "time": 0.3, "objects": [entry], "coasting": [{**entry, "id": 2}]}]
     for name, contents in samples.items():
         for content in contents:
             jsonschema.validate(content, formats.json_schema(name))
     with pytest.raises(jsonschema.ValidationError, match="is a required property"):
         jsonschema.validate({"frames": {"0": [{"x": 1}]}}, formats.json_schema("truth"))
+    with pytest.raises(jsonschema.ValidationError, match="is not of type 'array'"):
+        jsonschema.validate({"frame": 3, "objects": [], "coasting": entry}, formats.json_schema("objects"))

@@ -187,6 +187,16 @@ def test_objects_stand_where_they_are_in_their_colour_with_their_number_and_velo
     assert ax.texts[1].xy == pytest.approx((0.9, 1.3))  # its tip: where the object is after a second
 
 
+def test_what_coasts_is_hollow_and_dashed_where_it_is_expected(ax: Axes) -> None:
+    show_map(ax, grid(), [thing(0.5, 1.5, id=7)], coasting=[thing(2.0, 1.0, id=8, v=(0.4, 0.0))])
+    (ring,) = ax.collections
+    assert ring.get_offsets().tolist() == [[2.0, 1.0]]
+    assert len(ring.get_facecolor()) == 0 and to_rgb(ring.get_edgecolor()[0]) == (1.0, 0.0, 0.2)
+    ((_, dashes),) = ring.get_linestyle()
+    assert dashes is not None  # a solid line has none
+    assert texts(ax) == ["7", "8"] and ax.texts[1].xyann != (0, 0)  # no arrow: it is drawn where it would be by now
+
+
 def test_true_footprints_are_closed_and_dashed_and_bare_points_are_crosses(ax: Axes) -> None:
     square = ((0, 0), (1, 0), (1, 1), (0, 1))
     show_footprints(ax, [TrueObject(x=0.5, y=0.5, footprint=square), TrueObject(x=2.0, y=1.0), np.array(square)])
@@ -271,6 +281,21 @@ def test_overview_shows_each_view_the_foreground_and_the_map(tiny_rig: Rig, show
     assert not any("hidden" in text for text in texts(right))
     unknown = [f"unknown: {REASONS[kind]}" for kind in REASONS if (result.reason == kind).any()]
     assert legend(grid) == [*unknown, "truth"]
+
+
+def test_overview_shows_what_is_not_seen_now(tiny_rig: Rig, draw: Draw) -> None:
+    pipeline, still, blinks = Pipeline(tiny_rig, draw([])), box("a", 1.0, 0.8, 0.3, {}), box("b", 2.9, 2.2, 0.3, {})
+    first = pipeline.process(draw([still, blinks]), 0.0)
+    result = pipeline.process(draw([still]), 0.1)
+    left, right, _, shown = overview(tiny_rig, draw([still]), result).axes
+    assert shown.get_title() == "map: 1 object, 1 not seen now"
+    assert "unknown: not seen now" in legend(shown)
+    (one,) = result.coasting
+    assert {one.id, result.objects[0].id} == {each.id for each in first.objects}
+    for ax, name in ((left, "left"), (right, "right")):
+        (ring,) = ax.collections
+        np.testing.assert_allclose(ring.get_offsets(), tiny_rig[name].floor_to_pixels([one.position_m]))
+        assert texts(ax) == [str(result.objects[0].id), f"{one.id} not seen"]
 
 
 def test_overview_counts_one_object_in_the_singular_and_takes_one_camera(tiny_rig: Rig, draw: Draw) -> None:

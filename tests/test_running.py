@@ -6,10 +6,11 @@ import gc
 import json
 import shutil
 import weakref
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 
@@ -19,6 +20,8 @@ from occlib.mapping import load_map
 from occlib.pipeline import FrameResult, Pipeline, settings_for
 from occlib.recordings import open_recording
 from occlib.running import output_folders, run_recording
+
+Draw = Callable[[Sequence[Any]], dict[str, np.ndarray[Any, Any]]]
 
 
 def contents(folder: Path) -> dict[str, bytes]:
@@ -45,6 +48,24 @@ def test_it_is_what_the_pipeline_finds(tiny_recording: Path, tmp_path: Path) -> 
     assert found == [[(thing["id"], thing["x"], thing["y"]) for thing in (o.to_dict() for o in result.objects)]
                      for result in results]  # fmt: skip
     assert load_map(out / "map.yaml") == results[-1].map
+
+
+def test_what_coasts_is_listed_beside_the_objects_and_is_not_scored(
+    tiny_recording: Path, tmp_path: Path, draw: Draw, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """In frame 3 the floor is bare: both boxes, seen before and after, are expected where they were going."""
+    for name, image in draw([]).items():
+        assert cv2.imwrite(str(tiny_recording / f"frames/{name}/0003.png"), image[..., ::-1])
+    out = run_recording(open_recording(tiny_recording), tmp_path / "out").out
+    lines = [json.loads(line) for line in (out / "objects.jsonl").read_text().splitlines()]
+    assert [list(line) for line in lines] == [["frame", "time", "objects", *["coasting"] * (k == 3)] for k in range(5)]
+    assert (
+        lines[3]["objects"] == []
+        and [list(each) for each in lines[3]["coasting"]] == [list(lines[0]["objects"][0])] * 2
+    )
+    assert [each["id"] for each in lines[3]["coasting"]] == [each["id"] for each in lines[4]["objects"]] == [1, 2]
+    assert main(["evaluate", str(out / "objects.jsonl"), str(tiny_recording / "truth.json"), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["fn"] == 2
 
 
 @pytest.mark.slow

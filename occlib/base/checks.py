@@ -14,6 +14,11 @@ import numpy as np
 
 from occlib.base.arrays import FloatArray, Mask
 
+
+class Notice(UserWarning):
+    """A warning in one line that names what is wrong with the input, though the work goes on. A command prints it on stderr."""
+
+
 _SHOWN = 60
 """Characters of a wrong value that a message shows; the rest is cut off."""
 

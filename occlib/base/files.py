@@ -79,6 +79,10 @@ def folder_hash(folder: Path, pattern: str = "*") -> str:
     return sha256("".join(f"{name}\0{value}\n" for name, value in file_hashes(folder, pattern).items()))
 
 
+class DamagedImageError(ValueError):
+    """A file that is there, and no picture or only a part of one."""
+
+
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 
 
@@ -190,16 +194,18 @@ def staged_folder(path: str | Path, *, remove: Iterable[str] = ()) -> Iterator[P
 def read_image(path: str | Path, *, alpha: bool = False) -> Image:
     """An image file as uint8 RGB, shape (H, W, 3).
 
-    With ``alpha`` it is RGBA, (H, W, 4), 255 opaque, if the file has an alpha channel.
+    With ``alpha`` it is RGBA, (H, W, 4), 255 opaque, if the file has an alpha channel. ``ValueError`` in one line if there is
+    none: a :class:`DamagedImageError` where the file can be read and is no whole picture.
     """
     try:
-        data = np.frombuffer(Path(path).read_bytes(), np.uint8)
+        content = Path(path).read_bytes()
     except OSError as error:
         raise ValueError(f"{path}: cannot read the image ({error.strerror})") from None
-    whole = len(data) > 0 and (data[:8].tobytes() != PNG_SIGNATURE or _whole_png(data.tobytes()))
-    image = cv2.imdecode(data, cv2.IMREAD_COLOR) if whole else None  # a cut PNG would make libpng talk on stderr
+    check = next((check for start, check in _WHOLE.items() if content.startswith(start)), bool)
+    data = np.frombuffer(content, np.uint8)
+    image = cv2.imdecode(data, cv2.IMREAD_COLOR) if check(content) else None
     if image is None:
-        raise ValueError(f"{path}: corrupt or not an image (expected PNG or JPEG)")
+        raise DamagedImageError(f"{path}: corrupt or not an image (expected PNG or JPEG)")
     rgb = cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
     return np.dstack([rgb, *_alpha(data)]) if alpha else rgb
 
@@ -224,6 +230,18 @@ def _whole_png(data: bytes) -> bool:
             return True
         at += 12 + length
     return False
+
+
+def _whole_jpeg(data: bytes) -> bool:
+    """Whether the end of the image is marked: one that was cut and filled with zeros decodes, its lower part grey."""
+    at = 2
+    while data[at : at + 1] == b"\xff" and data[at + 1 : at + 2] != b"\xda":  # the segments before the scan
+        at += 2 + int.from_bytes(data[at + 2 : at + 4], "big")
+    return data.find(b"\xff\xd9", at) > 0
+
+
+_WHOLE = {PNG_SIGNATURE: _whole_png, b"\xff\xd8": _whole_jpeg}
+"""Checks of a file by how it begins; a cut PNG would make libpng talk on stderr."""
 
 
 def encode_image(suffix: str, image: Image, *, quality: int = 92) -> bytes:

@@ -5,8 +5,11 @@ from __future__ import annotations
 import argparse
 import os
 import sys
-from collections.abc import Sequence
+import warnings
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from importlib import import_module
+from typing import TextIO
 
 from occlib import __version__
 from occlib.cli.options import CommandParser
@@ -36,6 +39,32 @@ def build_parser() -> argparse.ArgumentParser:
     return parser
 
 
+@contextmanager
+def _notices(command: str) -> Iterator[None]:
+    """What is wrong with the input, though the work goes on, is said in a line on stderr, once."""
+    from tqdm import tqdm
+
+    from occlib.base.checks import Notice
+
+    said: set[str] = set()
+
+    def show(
+        message: Warning | str, category: type[Warning], filename: str, lineno: int,
+        file: TextIO | None = None, line: str | None = None,
+    ) -> None:  # fmt: skip
+        if not issubclass(category, Notice):
+            others(message, category, filename, lineno, file, line)
+        elif str(message) not in said:
+            said.add(str(message))
+            tqdm.write(f"occlib {command}: warning: {message}", file=sys.stderr)  # above the bars, if there are any
+
+    with warnings.catch_warnings():
+        others = warnings.showwarning
+        warnings.showwarning = show
+        warnings.simplefilter("always", Notice)
+        yield
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command; 0 on success, else a one-line error on stderr and another number."""
     args = argparse.Namespace(command="")
@@ -43,7 +72,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         args = build_parser().parse_args(arguments)
         from occlib.base.interrupts import stoppable  # after the parser, so that help is printed at once
 
-        with stoppable():
+        with stoppable(), _notices(args.command):
             status = int(args.function(args))
         sys.stdout.flush()
         return status

@@ -10,7 +10,9 @@ from occlib.cli.options import Commands, add_command, one_of
 def add(commands: Commands) -> None:
     """Add the command and its options."""
     p = add_command(commands, "data", "Fetch public recordings, with checksums.", data)
-    p.add_argument("action", choices=["fetch", "list", "verify"], help="verify: the checksums of data/lab")
+    p.add_argument(
+        "action", choices=["fetch", "list", "verify"], help="verify: the checksums of data/lab and data/rooms"
+    )
     names = p.add_argument("names", nargs="*", metavar="NAME", help="a public recording")
 
     def complete() -> None:
@@ -28,8 +30,9 @@ def data(args: argparse.Namespace) -> int:
     if args.action == "verify":
         from occlib.lab import verify_manifest
 
-        problems = verify_manifest()
-        print("\n".join(problems) or "data/lab agrees with its manifest")
+        folders = recordings.LAB, recordings.ROOMS
+        problems = [f"data/{folder.name}/{problem}" for folder in folders for problem in verify_manifest(folder)]
+        print("\n".join(problems) or "data/lab and data/rooms agree with their manifests")
         return 1 if problems else 0
     if args.action == "list":
         print("\n".join(f"{name}: {source['about']}" for name, source in recordings.public_recordings().items()))

@@ -70,8 +70,12 @@ def listen(args: argparse.Namespace) -> int:
 
 
 def _as_text(message: Message, latency_ms: float) -> str:
-    objects = "".join(f"  {t['id']} ({t['x']:.2f}, {t['y']:.2f})" for t in message.objects)
-    return f"{message.sequence:>6}  {latency_ms:7.1f} ms  {len(message.objects)} objects{objects}"
+    objects, coasting = (
+        "".join(f"  {t['id']} ({t['x']:.2f}, {t['y']:.2f})" for t in some)
+        for some in (message.objects, message.coasting)
+    )
+    unseen = f"; not seen now:{coasting}" if coasting else ""
+    return f"{message.sequence:>6}  {latency_ms:7.1f} ms  {len(message.objects)} objects{objects}{unseen}"
 
 
 def _as_json(message: Message, latency_ms: float, cells: bool) -> str:
@@ -86,5 +90,6 @@ def _as_json(message: Message, latency_ms: float, cells: bool) -> str:
             "latency_ms": round(latency_ms, 3),
             "map": {**grid, "counts": counts, **({"data": message.data.ravel().tolist()} if cells else {})},
             "objects": message.objects,
+            **({"coasting": message.coasting} if message.coasting else {}),
         }
     )

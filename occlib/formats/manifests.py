@@ -19,7 +19,7 @@ class FileEntry(Struct, frozen=True):
 
 
 class LabManifest(Struct, frozen=True):
-    """``data/lab/manifest.json``: how the laboratory was made, its size in bytes, and every file of it by its path."""
+    """``manifest.json`` of ``data/lab`` and ``data/rooms``: how the recordings were made, their size in bytes, and every file by its path."""
 
     made: dict[str, Any]
     bytes: Count

@@ -54,8 +54,16 @@ class MapObject(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
                 raise ValueError(f"{name}: expected at most {MAX_TEXT} printable characters, got {short(text)}")
 
 
+_Objects: TypeAlias = Annotated[
+    list[MapObject], Meta(max_length=MAX_OBJECTS, description=f"a list of 0 to {MAX_OBJECTS}")
+]
+
+
 class Header(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """The header of a message: these fields and no others. See :mod:`occlib.live.messages`."""
+    """The header of a message: these fields and no others. See :mod:`occlib.live.messages`.
+
+    ``coasting`` may be missing: it is sent only where an object is not seen now.
+    """
 
     session: Annotated[str, Meta(pattern="^[0-9a-f]{32}$", max_length=32, description="32 hexadecimal digits")]
     sequence: Annotated[int, Meta(ge=1, le=WHOLE, description=f"a whole number from 1 to {WHOLE}")]
@@ -64,8 +72,13 @@ class Header(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     floor: MapFloor
     width: _Cells
     height: _Cells
-    objects: Annotated[list[MapObject], Meta(max_length=MAX_OBJECTS, description=f"a list of 0 to {MAX_OBJECTS}")]
+    objects: _Objects
+    coasting: _Objects = []
 
     def __post_init__(self) -> None:
-        if len({each.id for each in self.objects}) < len(self.objects):
-            raise ValueError("objects: expected different ids, got one twice")
+        for name in ("objects", "coasting"):
+            listed = getattr(self, name)
+            if len({each.id for each in listed}) < len(listed):
+                raise ValueError(f"{name}: expected different ids, got one twice")
+        if {each.id for each in self.objects} & {each.id for each in self.coasting}:
+            raise ValueError("coasting: expected other ids than those of the objects, got one of them")

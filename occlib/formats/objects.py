@@ -53,18 +53,25 @@ class DetectedObject(Struct, frozen=True, kw_only=True):
 
 
 class ObjectsLine(Struct, frozen=True, kw_only=True):
-    """One line of ``objects.jsonl``: the frame's number, its time in s, its objects, and the cameras that were left out and why."""
+    """One line of ``objects.jsonl``: the frame's number, its time in s, its objects, and the cameras that were left out and why.
+
+    ``coasting`` is there if there are objects that were confirmed a moment ago and are not seen now: where each is expected. They are
+    none of ``objects``, and are not scored.
+    """
 
     frame: Annotated[int, Meta(description="a whole number")]
     time: Number | None = None
     objects: Annotated[
         list[Annotated[DetectedObject, Meta(description="a mapping with x and y")]], Meta(description="a list")
     ]
+    coasting: Annotated[
+        list[Annotated[DetectedObject, Meta(description="a mapping with x and y")]], Meta(description="a list")
+    ] = []
     excluded: Annotated[dict[str, str], Meta(description="a mapping of cameras to reasons")] = {}
 
 
 def load_objects(path: str | Path) -> dict[int, list[DetectedObject]]:
-    """Read ``objects.jsonl``: for each frame its objects.
+    """Read ``objects.jsonl``: for each frame its objects, without those that coast.
 
     Raises ``ValueError`` with file and line number: not JSON, no ``frame`` or ``objects``, an object
     without finite ``x`` and ``y``, another field of the wrong type, or a frame that comes twice. Blank lines are skipped, as are
@@ -79,8 +86,9 @@ def load_objects(path: str | Path) -> dict[int, list[DetectedObject]]:
         frame = content.get("frame") if isinstance(content, dict) else None
         if not isinstance(frame, int) or isinstance(frame, bool):
             raise ValueError(f"{where}: expected an object with an integer 'frame'")
-        if isinstance(content.get("objects"), list):
-            content = {**content, "objects": [given(entry) for entry in content["objects"]]}
+        for name in ("objects", "coasting"):
+            if isinstance(content.get(name), list):
+                content = {**content, name: [given(entry) for entry in content[name]]}
         line = convert_line(content, where)
         if line.frame in frames:
             raise ValueError(f"{where}: frame {frame} comes twice")

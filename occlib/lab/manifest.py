@@ -12,9 +12,9 @@ from occlib.recordings import LAB, lab_recordings
 
 
 def write_manifest(lab_dir: str | Path = LAB, *, spp: int = 6, llvm: str | None = None) -> Path:
-    """Write ``manifest.json``: size and SHA-256 of every file of the lab, and how it was made.
+    """Write ``manifest.json``: size and SHA-256 of every file of a folder of rendered recordings, and how they were made.
 
-    Call it where the lab was rendered: it records the versions that are installed; ``llvm`` is what
+    Call it where they were rendered: it records the versions that are installed; ``llvm`` is what
     ``drjit.detail.llvm_version()`` said.
     """
     lab = Path(lab_dir)

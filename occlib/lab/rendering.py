@@ -5,105 +5,32 @@ Only needed to make ``data/lab`` again or to render a scene of one's own; truth 
 
 from __future__ import annotations
 
-import ctypes
-import os
-import sys
 from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import cv2
-import msgspec
 import numpy as np
 import numpy.typing as npt
 import yaml
 
-from occlib.base import checks
 from occlib.base.arrays import FloatArray, Image, Mask
-from occlib.base.extras import MissingExtraError, check_extra, import_extra
 from occlib.base.files import encode_image, staged_folder, write_file
-from occlib.formats.scene import Window
-from occlib.geometry import Camera, Rig
-from occlib.lab.scenes import BOARD_PATTERN, Board, Scene, floor_board
+from occlib.formats.scene import Lamp, Surface, Window, Wood
+from occlib.geometry import Rig
+from occlib.lab.engine import load_mitsuba
+from occlib.lab.lights import light_points
+from occlib.lab.scenes import BOARD_PATTERN, Board, Scene, floor_board, floor_marks, scaled_camera
 from occlib.lab.shapes import Part, hit_distance, unit_mesh
+from occlib.lab.surfaces import surface_texture, to_linear, to_srgb, vinyl_texture, wood_texture
 from occlib.lab.truth import depth_image, ground_truth
 
+SHADOW_STEP = 6
+"""Shadows are looked for at each sixth pixel in x and in y: less than what is traced around them."""
 
-def load_mitsuba() -> Any:
-    """Import Mitsuba in its vectorised variant; ``ValueError`` with the remedy if that cannot work."""
-    try:
-        # karellen-llvm-core needs its C++ runtime in the process before LLVM itself is opened.
-        llvm = Path(os.environ.get("DRJIT_LIBLLVM_PATH", Path(sys.prefix) / "lib" / "libLLVM.so"))
-        if llvm.exists():
-            os.environ["DRJIT_LIBLLVM_PATH"] = str(llvm)
-            for library in ("libunwind.so.1", "libc++abi.so.1", "libc++.so.1"):
-                if (found := llvm.parent / "x86_64-unknown-linux-gnu" / library).exists():
-                    # Not RTLD_GLOBAL: libc++abi would take over the C++ exceptions of every other library.
-                    ctypes.CDLL(str(found), mode=ctypes.RTLD_LOCAL)
-        drjit, mitsuba = import_extra("drjit", "render"), import_extra("mitsuba", "render")
-        check_extra("pyoidn", "render")
-        mitsuba.set_variant("llvm_ad_rgb")
-        version = int(drjit.detail.llvm_version()[0])
-        if not 19 <= version <= 22:  # older and newer ones abort the whole process on a real scene
-            raise ImportError(f"LLVM {version} cannot compile Mitsuba's kernels, 19 to 22 can: karellen-llvm-core<23")
-    except MissingExtraError:
-        raise
-    except (ImportError, OSError) as error:
-        raise ValueError(f"rendering needs Mitsuba 3 with LLVM 19 to 22: {error}") from None
-    return mitsuba
-
-
-def to_linear(colour: Iterable[float]) -> list[float]:
-    """sRGB 0-255 to linear 0-1.
-
-    >>> to_linear([0, 255])
-    [0.0, 1.0]
-    """
-    c = np.asarray(list(colour), float) / 255
-    return [float(v) for v in np.where(c <= 0.04045, c / 12.92, ((c + 0.055) / 1.055) ** 2.4)]
-
-
-def to_srgb(linear: FloatArray) -> FloatArray:
-    """Linear 0-1 to sRGB grey levels 0-255, clipped."""
-    c = np.clip(linear, 0, 1)
-    return np.asarray(255 * np.where(c <= 0.0031308, 12.92 * c, 1.055 * c ** (1 / 2.4) - 0.055))
-
-
-def vinyl_texture(colour: Iterable[float], cells: int = 700) -> FloatArray:
-    """A tile of floor, linear RGB (cells, cells, 3): faint mottling, a seam around the edge."""
-    rng = np.random.default_rng(2009)
-    mottle = np.zeros((cells, cells))
-    for n, sigma in ((7, 0.008), (40, 0.012), (175, 0.02)):
-        mottle += cv2.resize(rng.normal(0, sigma, (n, n)), (cells, cells), interpolation=cv2.INTER_CUBIC)
-    tile = np.array(to_linear(colour)) * (1 + mottle[..., None])
-    tile[[0, 1, -2, -1]] *= 0.72
-    tile[:, [0, 1, -2, -1]] *= 0.72
-    return np.asarray(tile)
-
-
-def wood_texture(
-    colour: Iterable[float], size: tuple[float, float], plank: tuple[float, float], *, cell: float = 0.004
-) -> FloatArray:
-    """A floor of planks along x, linear RGB (rows, columns, 3): each plank of its own shade, with grain and a dark seam.
-
-    ``size`` of the floor, ``plank`` (length and width) and ``cell`` in m. Neighbouring rows of planks are staggered.
-    """
-    rng = np.random.default_rng(1926)
-    columns, rows = round(size[0] / cell), round(size[1] / cell)
-    length, width = max(2, round(plank[0] / cell)), max(2, round(plank[1] / cell))
-    row, column = np.mgrid[:rows, :columns]
-    line = row // width
-    along = column + (rng.integers(0, length, line.max() + 1))[line]
-    shades = rng.normal(0, 1, (line.max() + 1, along.max() // length + 1))[line, along // length]
-    grain = np.zeros((rows, columns))
-    for across, lengthwise, sigma in ((3, 150, 0.06), (1.5, 60, 0.06), (8, 400, 0.05)):  # cells of one streak
-        noise = rng.normal(0, sigma, (max(2, round(rows / across)), max(2, round(columns / lengthwise))))
-        grain += cv2.resize(noise, (columns, rows), interpolation=cv2.INTER_CUBIC)
-    warm = np.array([0.9, 1.0, 1.15])  # a dark plank is browner, a light one paler
-    floor = np.array(to_linear(colour)) * np.exp((0.11 * shades + grain)[..., None] * warm)
-    floor[(row % width == 0) | (along % length == 0)] *= 0.45
-    return np.clip(floor, 0, 1)
+SHADOW = 0.03
+"""Share of the direct light whose loss is visible: 3 % are 1.8 grey levels at a grey of 128, about the camera's noise."""
 
 
 def denoise(layers: npt.NDArray[np.float32]) -> FloatArray:
@@ -126,8 +53,9 @@ class Studio:
         self.world = self.mi.load_dict(self._description(), optimize=False)
         self.parameters = self.mi.traverse(self.world)
         self._rays: dict[str, Any] = {}
-        self._empty: dict[str, Any] = {}
+        self._empty: dict[tuple[str, tuple[float, ...]], Any] = {}
         self._floor: dict[str, Any] = {}
+        self._surfaces: dict[str, FloatArray] = {}
 
     def _description(self) -> dict[str, Any]:
         mi, room = self.mi, self.room
@@ -157,8 +85,10 @@ class Studio:
             # The floor rectangle lies a hair above the bottom of the box that makes the walls.
             "walls": self._mesh("walls", "box", shift(walls.matrix, -0.001), wall),
         }
-        if room.window is not None:
-            world["window"] = self._window(room.window)
+        for i, window in enumerate(room.daylight):
+            world[f"window{i}"] = self._window(window)
+        for key, lamp in room.lamps.items():
+            world[f"lamp_{key}"] = self._lamp(lamp)
         for i, part in enumerate(self.scene.furniture):
             world[f"furniture{i}"] = self._mesh(f"f{i}", part.shape, part.matrix, self._matte(part.colour))
         for i, (x, y) in enumerate(self.scene.marks):  # crosses of tape
@@ -174,13 +104,14 @@ class Studio:
         return world
 
     def _floor_coat(self, size: tuple[float, float]) -> dict[str, Any]:
-        """The glossy floor, ``size`` in m: planks if the room has wood, else tiles of vinyl."""
-        wood, vinyl = self.room.wood, self.room.vinyl
-        if wood is not None:
-            picture, repeat = wood_texture(wood.colour, size, wood.plank), [1.0, 1.0, 1]
+        """The glossy floor, ``size`` in m: a surface if the room has one, else planks of wood, else tiles of vinyl."""
+        coat = self.room.coat
+        if isinstance(coat, Surface):
+            picture, repeat = surface_texture(coat, size, self.scene.seed), [1.0, 1.0, 1]
+        elif isinstance(coat, Wood):
+            picture, repeat = wood_texture(coat.colour, size, coat.plank), [1.0, 1.0, 1]
         else:
-            picture, repeat = vinyl_texture(vinyl.colour), [size[0] / vinyl.tile, size[1] / vinyl.tile, 1]
-        coat = wood or vinyl
+            picture, repeat = vinyl_texture(coat.colour), [size[0] / coat.tile, size[1] / coat.tile, 1]
         return {
             "type": "roughplastic",
             "distribution": "ggx",
@@ -205,6 +136,18 @@ class Studio:
                 "radiance": {"type": "rgb", "value": [window.radiance * c for c in to_linear(window.colour)]},
             },
         }
+
+    def _lamp(self, lamp: Lamp) -> dict[str, Any]:
+        place = self.mi.ScalarTransform4f().translate(list(lamp.centre)).rotate([1, 0, 0], 180)
+        return {
+            "type": "rectangle",
+            "to_world": place.scale([lamp.size[0] / 2, lamp.size[1] / 2, 1]),
+            "emitter": {"type": "area", "radiance": {"type": "rgb", "value": self._radiance_of(lamp)}},
+        }
+
+    @staticmethod
+    def _radiance_of(lamp: Lamp, factor: float = 1.0) -> list[float]:
+        return [factor * lamp.radiance * c for c in to_linear(lamp.colour)]
 
     def _matte(self, colour: Iterable[float]) -> Any:
         diffuse = {"type": "diffuse", "reflectance": {"type": "rgb", "value": to_linear(colour)}}
@@ -253,8 +196,11 @@ class Studio:
         up = -50.0 if board is None else 0.0002 if board.camera is None else 0.0  # paper lies on the floor
         return _world_vertices(corners, shift(pose, up))
 
-    def place(self, frame: int | None, board: Board | None = None) -> None:
-        """Move the objects to where they are at a frame; ``None`` empties the room."""
+    def place(self, frame: int | None, board: Board | None = None, *, light: tuple[float, ...] = ()) -> None:
+        """Move the objects to where they are at a frame; ``None`` empties the room. ``light``: see :meth:`_light`."""
+        for name, factor in zip(self.scene.lamps, light, strict=False):
+            value = self.mi.Color3f(*self._radiance_of(self.room.lamps[name], factor))
+            self.parameters[f"lamp_{name}.emitter.radiance.value"] = value
         for each in self.scene.objects:
             for i, (part, matrix) in enumerate(zip(each.parts, each.matrices(frame or 0), strict=True)):
                 # An empty room keeps its meshes, under the floor, so that the compiled kernel is reused.
@@ -266,7 +212,7 @@ class Studio:
         self.parameters.update()
 
     def _directions(self, name: str) -> FloatArray:
-        """Jittered rays (H * W, spp, 3) through the exact lens model, shared by all frames of a camera."""
+        """Jittered rays (3, H * W * spp) through the exact lens model, shared by all frames of a camera."""
         if name not in self._rays:
             # R2 low-discrepancy offsets: the same sub-pixel pattern in each pixel is a box filter.
             steps = np.outer(np.arange(1, self.spp + 1), [0.7548776662466927, 0.5698402909980532])
@@ -275,28 +221,31 @@ class Studio:
             camera = self.cameras[name]
             rays = np.stack([camera.rays(camera.pixel_centres() + offset) for offset in offsets], axis=2)
             rays /= np.linalg.norm(rays, axis=3, keepdims=True)
-            self._rays[name] = rays.reshape(-1, self.spp, 3).astype(np.float32)
+            self._rays[name] = np.ascontiguousarray(rays.reshape(-1, 3).T.astype(np.float32))
         return self._rays[name]
 
     def layers(self, name: str, pixels: Mask | None = None) -> npt.NDArray[np.float32]:
-        """Noisy colour, albedo and normal, (N, 9), of all or of some pixels (H, W) of a camera."""
+        """Noisy colour, albedo and normal, (N, 9), of all or of some pixels (H, W) of a camera.
+
+        A pixel has the same random numbers in every picture: what has not changed has the same noise.
+        """
         import drjit as dr
 
-        mi, directions = self.mi, self._directions(name)
-        directions = directions if pixels is None else directions[pixels.ravel()]
-        flat = np.ascontiguousarray(directions.reshape(-1, 3).T)
+        mi, flat = self.mi, self._directions(name)
         sampler = mi.load_dict({"type": "independent"})
         sampler.seed(list(self.cameras).index(name), flat.shape[1])
+        traced = np.ones(flat.shape[1], bool) if pixels is None else np.repeat(pixels.ravel(), self.spp)
         centre = mi.Point3f(*map(float, self.cameras[name].centre_m))
         dr.make_opaque(centre)  # a number in memory, not in the code: one compilation serves all cameras
-        ray = mi.Ray3f(centre, mi.Vector3f(flat))
-        colour, _, _ = self.integrator.sample(self.world, sampler, ray)
-        hit = self.world.ray_intersect(ray)
-        albedo = hit.bsdf().eval_diffuse_reflectance(hit)
+        ray, active = mi.Ray3f(centre, mi.Vector3f(flat)), mi.Bool(traced)
+        colour, _, _ = self.integrator.sample(self.world, sampler, ray, None, active)
+        hit = self.world.ray_intersect(ray, active)
+        albedo = hit.bsdf().eval_diffuse_reflectance(hit, active)
         bounded = dr.select(colour < 4.0, colour, 4.0)  # tames fireflies
         sums = [dr.block_sum(c, self.spp) for layer in (bounded, albedo, hit.sh_frame.n) for c in layer]
         dr.eval(sums)
-        return np.stack([np.array(s, np.float32) for s in sums], axis=1) / np.float32(self.spp)
+        found = np.stack([np.array(s, np.float32) for s in sums], axis=1) / np.float32(self.spp)
+        return found if pixels is None else found[pixels.ravel()]
 
     def radiance(self, name: str, frame: int | None, board: Board | None = None) -> FloatArray:
         """Denoised linear RGB (H, W, 3) of what a camera sees at a frame, ``None`` for the empty room.
@@ -304,13 +253,15 @@ class Studio:
         Only what an object can change visibly (itself, its shadow, its reflection) is traced anew.
         """
         width, height = self.cameras[name].size
-        if name not in self._empty:
-            self.place(None)
+        light = self._light(frame)
+        if (name, light) not in self._empty:
+            self.place(None, light=light)
+            self._surfaces[name] = self._places(name)
             layers = self.layers(name).reshape(height, width, 9)
-            self._empty[name] = layers, denoise(layers)
-        layers, picture = (a.copy() for a in self._empty[name])
+            self._empty[name, light] = layers, denoise(layers)
+        layers, picture = (a.copy() for a in self._empty[name, light])
         if board is not None or (frame is not None and self.scene.objects):
-            self.place(frame, board)
+            self.place(frame, board, light=light)
             pixels = self._touched(name, frame or 0, board)
             layers[pixels] = self.layers(name, pixels)
             rows, columns = np.flatnonzero(pixels.any(axis=1)), np.flatnonzero(pixels.any(axis=0))
@@ -322,22 +273,21 @@ class Studio:
                 picture[window] += weight * (denoise(layers[window]) - picture[window])
         return picture
 
-    def _touched(self, name: str, frame: int, board: Board | None = None) -> Mask:
-        """Pixels (H, W) that show an object or the floor near it (0.7 heights + 0.2 m), or a board.
+    def _light(self, frame: int | None) -> tuple[float, ...]:
+        """The factors on the light of the scene's lamps that change, at a frame or in the empty room (1)."""
+        return tuple(1.0 if frame is None else factors[frame] for factors in self.scene.lamps.values())
 
-        All of them where a window shines in from the side: shadows are long then.
-        """
+    def _touched(self, name: str, frame: int, board: Board | None = None) -> Mask:
+        """Pixels (H, W) that show an object, the floor near it (0.7 heights + 0.2 m), or its shadow; or a board."""
         camera = self.cameras[name]
         width, height = camera.size
-        if self.room.window is not None:
-            return np.ones((height, width), bool)
         rays = self.scene.rays[name]
         if name not in self._floor:
             with np.errstate(divide="ignore"):
                 floor = camera.centre_m[:2] - rays[..., :2] * (camera.centre_m[2] / rays[..., 2])[..., None]
             self._floor[name] = floor
         centre, floor = camera.centre_m, self._floor[name]
-        pixels = np.zeros((height, width), bool)
+        pixels = self._shaded(name, frame)
         for each in self.scene.objects:
             x, y, _ = each.pose(frame)
             radius = np.hypot(*(each.footprint(frame) - [x, y]).T).max() + 0.7 * each.height + 0.2
@@ -353,6 +303,23 @@ class Studio:
             pixels, spare = hit.reshape(height, width), 61
         return cv2.dilate(pixels.astype(np.uint8), np.ones((spare, spare), np.uint8)) > 0
 
+    def _places(self, name: str) -> FloatArray:
+        """What a camera sees now at each :data:`SHADOW_STEP`-th pixel, (N, 3) in m."""
+        centre = self.cameras[name].centre_m
+        view = self.scene.rays[name][SHADOW_STEP // 2 :: SHADOW_STEP, SHADOW_STEP // 2 :: SHADOW_STEP].reshape(-1, 3)
+        directions = self.mi.Vector3f(np.ascontiguousarray(view.T.astype(np.float32)))
+        hit = self.world.ray_intersect_preliminary(self.mi.Ray3f(self.mi.Point3f(*map(float, centre)), directions))
+        return np.asarray(centre + view * np.array(hit.t, float)[:, None])
+
+    def _shaded(self, name: str, frame: int) -> Mask:
+        """Pixels (H, W) that show what an object keeps more than :data:`SHADOW` of the direct light from, by its bounding box."""
+        camera = self.cameras[name]
+        width, height = camera.size
+        shaded = light_points(self.room).shaded(self._surfaces[name], self.scene.objects, frame) > SHADOW
+        size = len(range(SHADOW_STEP // 2, height, SHADOW_STEP)), -1
+        grown = cv2.resize(shaded.reshape(size).astype(np.uint8), (width, height), interpolation=cv2.INTER_NEAREST)
+        return grown > 0
+
     def photograph(self, radiance: FloatArray, name: str, kind: str, index: int) -> Image:
         """Exposure, vignetting, the sRGB curve and sensor noise: uint8 RGB (H, W, 3)."""
         sensor, camera = self.room.sensor, self.cameras[name]
@@ -361,6 +328,8 @@ class Studio:
         cx, cy = (width - 1) / 2, (height - 1) / 2
         fall = 1 - sensor.vignetting * ((u - cx) ** 2 + (v - cy) ** 2) / (cx**2 + cy**2)
         gain = getattr(self.room.cameras[name].gain, "background" if kind == "background" else "frames")
+        if kind == "frames" and name in self.scene.exposure:
+            gain *= self.scene.exposure[name][index]
         clean = to_srgb(radiance * fall[..., None] * sensor.exposure * gain)
         names = list(self.room.cameras)
         rng = np.random.default_rng([self.scene.seed, names.index(name), index, kind == "background"])
@@ -377,20 +346,6 @@ def _world_vertices(vertices: FloatArray, matrix: FloatArray) -> Any:
     return (vertices @ matrix[:3, :3].T + matrix[:3, 3]).astype(np.float32).ravel()
 
 
-def scaled_camera(camera: Camera, scale: float) -> Camera:
-    """The same view with fewer (or more) pixels."""
-    if scale == 1:
-        return camera
-    checks.number("scale", scale, least=0.02, most=4, unit="a factor")
-    size = (max(8, round(camera.size[0] * scale)), max(8, round(camera.size[1] * scale)))
-    matrix = camera.matrix.copy()
-    for axis in (0, 1):
-        matrix[axis] *= size[axis] / camera.size[axis]
-        matrix[axis, 2] += (size[axis] / camera.size[axis] - 1) / 2  # pixel centres are at integers
-    rotation, translation = camera.pose
-    return Camera.from_pose(camera.name, size, replace(camera.lens, matrix=matrix), rotation, translation)
-
-
 def render(
     scene: Scene,
     out: str | Path,
@@ -399,6 +354,7 @@ def render(
     spp: int = 6,
     scale: float = 1.0,
     progress: bool = True,
+    background_suffix: str = ".png",
 ) -> Path:
     """Render a recording in the contract's layout, with its truth; returns its folder.
 
@@ -414,6 +370,8 @@ def render(
         Factor on the size of the pictures; ``rig.yaml`` and the truth follow it.
     progress
         Show a progress bar.
+    background_suffix
+        ``.png`` keeps the pictures of the empty room as they are, ``.jpg`` makes them small.
 
     Raises ``ValueError`` if Mitsuba is missing or a frame is out of range.
     """
@@ -429,16 +387,16 @@ def render(
     total = len(cameras) * (len(chosen) + (scene.background > 0) + (scene.floor_board is not None))
     bar = tqdm(total=total, desc=scene.name, disable=None if progress else True)
     with bar, staged_folder(out) as stage:
-        _write_recording(scene, Studio(scene, spp=spp), chosen, stage, bar)
+        _write_recording(scene, Studio(scene, spp=spp), chosen, stage, bar, background_suffix)
     return Path(out)
 
 
-def _write_recording(scene: Scene, studio: Studio, chosen: list[int], out: Path, bar: Any) -> None:
+def _write_recording(scene: Scene, studio: Studio, chosen: list[int], out: Path, bar: Any, suffix: str) -> None:
     quality, cameras = studio.room.sensor.jpeg_quality, scene.rig.cameras
     for name in cameras:  # camera by camera: its rays and its empty room are used again
         for i in range(scene.background):
             picture = studio.photograph(studio.radiance(name, None), name, "background", i)
-            write_file(out / "background" / name / f"{i:02d}.png", encode_image(".png", picture, quality=quality))
+            write_file(out / "background" / name / f"{i:02d}{suffix}", encode_image(suffix, picture, quality=quality))
         bar.update(scene.background > 0)
         boards = [i for i, board in enumerate(scene.boards) if board.camera == name]
         for frame in chosen:  # frame N shows the camera its own Nth board, if there are any
@@ -453,22 +411,11 @@ def _write_recording(scene: Scene, studio: Studio, chosen: list[int], out: Path,
             write_file(out / "floor" / f"{name}.jpg", encode_image(".jpg", picture, quality=quality))
             bar.update()
         write_file(out / "floor_marks.yaml", _yaml(floor_marks(scene)))
+    for file, content in scene.files.items():
+        write_file(out / file, content)
     write_file(out / "rig.yaml", _yaml({"fps": scene.fps, **scene.rig.to_dict()}))
     ground_truth(scene, frames=chosen).save(out / "truth.json")
 
 
 def _yaml(content: Any) -> bytes:
     return str(yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=110)).encode()
-
-
-def floor_marks(scene: Scene) -> dict[str, Any]:
-    """Where the board and the marks on the floor are: metres, and the pixels of each camera, to 0.1 px."""
-    marks: dict[str, Any] = {name: [] for name in scene.rig.cameras}
-    for name, camera in scene.rig.cameras.items():
-        for mark, pixel in zip(scene.marks, camera.floor_to_pixels(scene.marks), strict=True):
-            if camera.inside([pixel])[0]:
-                marks[name].append({"pixel": np.round(pixel, 1).tolist(), "floor": list(mark)})
-    content: dict[str, Any] = {"units": {"pixel": "raw image px", "floor": "m"}}
-    if scene.floor_board is not None:
-        content["board"] = {"pattern": list(BOARD_PATTERN), **msgspec.to_builtins(scene.floor_board)}
-    return {**content, "marks": marks}

@@ -42,6 +42,24 @@ class Shape:
 
 
 @dataclass(frozen=True)
+class Swing:
+    """A pendulum about the y axis through ``pivot`` (m): ``degrees * sin(2 pi (frame / period + phase))``."""
+
+    pivot: tuple[float, float, float]
+    degrees: float
+    period: float
+    phase: float = 0.0
+
+    def matrix(self, frame: float) -> FloatArray:
+        """The turn at a frame, 4x4."""
+        matrix = np.eye(4)
+        angle = self.degrees * np.sin(2 * np.pi * (frame / self.period + self.phase))
+        matrix[:3, :3] = rotation_xyz((0.0, angle, 0.0))
+        matrix[:3, 3] = np.array(self.pivot) - matrix[:3, :3] @ self.pivot
+        return matrix
+
+
+@dataclass(frozen=True)
 class Part:
     """A unit shape under an affine map: ``size`` are full extents in m, ``turn`` degrees about x, y, z."""
 
@@ -50,14 +68,19 @@ class Part:
     size: tuple[float, float, float]
     colour: tuple[float, float, float]
     turn: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    swing: Swing | None = None
 
     @property
     def matrix(self) -> FloatArray:
-        """4x4, unit shape to the frame of the object."""
+        """4x4, unit shape to the frame of the object, as it is without its swing."""
         matrix = np.eye(4)
         matrix[:3, :3] = rotation_xyz(self.turn) @ np.diag(self.size)
         matrix[:3, 3] = self.centre
         return matrix
+
+    def matrix_at(self, frame: float) -> FloatArray:
+        """4x4, unit shape to the frame of the object at a frame."""
+        return self.matrix if self.swing is None else self.swing.matrix(frame) @ self.matrix
 
 
 def rotation_xyz(degrees: Iterable[float]) -> FloatArray:
@@ -141,9 +164,32 @@ def _in_cylinder(origin: FloatArray, directions: FloatArray) -> Span:
     return np.maximum(low, near), np.minimum(high, far)
 
 
+def _cone_mesh() -> tuple[FloatArray, FloatArray]:
+    return revolved_mesh([(1.0, -0.5)])
+
+
+def _in_cone(origin: FloatArray, directions: FloatArray) -> Span:
+    """Where x^2 + y^2 <= (0.5 - z)^2 / 4 and -0.5 <= z <= 0.5: a cone with its tip at the top.
+
+    A ray that is steeper than the cone's side (a < 0) is inside beyond its roots: before the first if it goes up, after
+    the second if it goes down. Beyond the other root lies the mirror image above the tip.
+    """
+    dz, below = directions[:, 2] / 2, (0.5 - origin[2]) / 2
+    a = (directions[:, :2] ** 2).sum(1) - dz * dz
+    b = directions[:, :2] @ origin[:2] + below * dz
+    square = b * b - a * (origin[:2] @ origin[:2] - below**2)
+    root = np.sqrt(np.where(a < 0, np.maximum(square, 0), square))
+    first, last = (-b - root) / a, (-b + root) / a
+    near = np.where(a > 0, first, np.where(dz > 0, -np.inf, first))
+    far = np.where(a > 0, last, np.where(dz > 0, last, np.inf))
+    low, high = _between_planes(origin, directions, [2])
+    return np.maximum(low, near), np.minimum(high, far)
+
+
 SHAPES = {
     "box": Shape(_box_mesh, _between_planes),
     "ellipsoid": Shape(_ellipsoid_mesh, _in_sphere),
     "cylinder": Shape(_cylinder_mesh, _in_cylinder),
+    "cone": Shape(_cone_mesh, _in_cone),
 }
 """Every shape that a scene may name."""

@@ -14,41 +14,25 @@ from occlib.base.arrays import FloatArray, Mask
 from occlib.formats import TrueObject, Truth
 from occlib.geometry import Camera
 from occlib.lab.scenes import Scene, SceneObject
-from occlib.lab.shapes import hit_distance, unit_mesh
 
 
 def depth_image(
     scene: Scene, camera: Camera, item: SceneObject, frame: float
 ) -> tuple[FloatArray, tuple[slice, slice]]:
     """Distances to one object and the window of the picture that they cover."""
-    width, height = camera.size
-    origin, rays = camera.centre_m, scene.rays[camera.name]
-    matrices = item.matrices(frame)
-    corners = np.vstack([unit_mesh("box")[0] @ m[:3, :3].T + m[:3, 3] for m in matrices])
-    pixels = camera.project(corners)
-    if np.isnan(pixels).any():
-        low, high = np.zeros(2), np.array([width, height], float)
-    else:  # straight edges bulge between their ends under lens distortion: leave room
-        spare = 4 + 0.1 * (pixels.max(0) - pixels.min(0))
-        low, high = np.floor(pixels.min(0) - spare), np.ceil(pixels.max(0) + spare)
-    (c0, r0), (c1, r1) = np.clip(low, 0, [width, height]).astype(int), np.clip(high, 0, [width, height]).astype(int)
-    window = (slice(r0, r1), slice(c0, c1))
-    view = rays[window].reshape(-1, 3)
-    depth = np.full(len(view), np.inf)
-    for part, matrix in zip(item.parts, matrices, strict=True):
-        depth = np.minimum(depth, hit_distance(part.shape, matrix, origin, view))
-    return depth.reshape(r1 - r0, c1 - c0), window
+    shapes = [part.shape for part in item.parts]
+    return scene.depths(camera.name, shapes, item.matrices(frame))
 
 
 def silhouettes(scene: Scene, frame: int) -> dict[str, dict[str, tuple[Mask, Mask]]]:
     """Ideal masks ``{camera: {object id: (amodal, visible)}}``, each (H, W).
 
-    Amodal: the object as if it were alone. Visible: minus what other objects hide. Pixel-centre rays.
+    Amodal: the object as if it were alone. Visible: minus what other objects and furniture hide. Pixel-centre rays.
     """
     result: dict[str, dict[str, tuple[Mask, Mask]]] = {}
     for name, camera in scene.rig.cameras.items():
         shape = camera.size[::-1]
-        nearest = np.full(shape, np.inf)
+        nearest = scene.furniture_depths[name].copy()
         depths = {each.id: depth_image(scene, camera, each, frame) for each in scene.objects}
         for depth, window in depths.values():
             nearest[window] = np.minimum(nearest[window], depth)

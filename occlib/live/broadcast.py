@@ -243,13 +243,18 @@ class Publisher(_Connected):
         self.address = self._socket.getsockopt_string(zmq.LAST_ENDPOINT)
 
     def send(
-        self, data: npt.NDArray[np.int8], floor: Floor, objects: Sequence[Mapping[str, Any]], t_capture: float
+        self,
+        data: npt.NDArray[np.int8],
+        floor: Floor,
+        objects: Sequence[Mapping[str, Any]],
+        t_capture: float,
+        coasting: Sequence[Mapping[str, Any]] = (),
     ) -> Message:
         """Send a map, without waiting.
 
         Parameters
         ----------
-        data, floor, objects, t_capture
+        data, floor, objects, t_capture, coasting
             As in :class:`Message`.
 
         Returns
@@ -264,7 +269,7 @@ class Publisher(_Connected):
         with self._numbering:
             if self._stop.is_set():
                 raise ValueError("publisher: expected an open one, got one that is closed")
-            message = Message(self.sequence + 1, t_capture, time.time(), data, floor, objects, self.session)
+            message = Message(self.sequence + 1, t_capture, time.time(), data, floor, objects, self.session, coasting)
             self._waiting.append(encode(message))
             self.sequence = message.sequence
         self._work(16)

@@ -20,12 +20,13 @@ def draw_message(message: Message, path: str | Path) -> Path:
     """Draw a map and its objects to a PNG file, written whole; return its path."""
     from occlib.plotting import figure_png, new_figure, show_map
 
-    objects = [
-        ObjectVector(t["id"], (t["x"], t["y"]), (t["vx"], t["vy"]), t["area"], tuple(t["colour"]))
-        for t in message.objects
-    ]
+    objects, coasting = (
+        [ObjectVector(t["id"], (t["x"], t["y"]), (t["vx"], t["vy"]), t["area"], tuple(t["colour"])) for t in some]
+        for some in (message.objects, message.coasting)
+    )
     fig, ax = new_figure(width=6.0, height=5.0)
-    show_map(ax, OccupancyMap(message.data, message.floor), objects, title=f"map {message.sequence}")
+    grid = OccupancyMap(message.data, message.floor)
+    show_map(ax, grid, objects, coasting=coasting, title=f"map {message.sequence}")
     return write_file(path, figure_png(fig))
 
 

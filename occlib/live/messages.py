@@ -11,6 +11,8 @@ and nobody else does. Each message has three frames:
    as in ``rig.yaml``; ``width`` and ``height`` of the map in cells; ``objects``, a list of the entries of ``objects.jsonl``:
    ``id`` (whole number), ``x``, ``y`` (m), ``vx``, ``vy`` (m/s by the clock of ``t_capture``), ``area`` (m2), ``colour`` (``[r, g, b]``,
    each 0 to 255), ``label`` (string or null), ``hidden_in`` (a list of cameras) and, but for old publishers, ``size`` (m2 or null);
+   and one that is there only if it is not empty: ``coasting``, the like of the objects that were there a moment ago and are not seen
+   now, where they are expected; on the map their cells are occupied or unknown, never free;
 2. the map, ``width * height`` int8, row by row, the row of the smallest ``y`` first, each with the smallest ``x`` first: the
    ``data`` of a ``nav_msgs/OccupancyGrid``, -1 unknown, 0 (free) to 100 (occupied). Not compressed: on loopback that costs
    more time than it saves.
@@ -79,6 +81,8 @@ class Message:
         Entries of ``objects.jsonl``; their ids differ.
     session
         32 hexadecimal digits, those of one publisher from its start to its end.
+    coasting
+        Entries of the objects that are not seen now; their ids are others.
 
     Raises
     ------
@@ -93,14 +97,15 @@ class Message:
     floor: Floor
     objects: Sequence[Mapping[str, Any]]
     session: str
+    coasting: Sequence[Mapping[str, Any]] = ()
 
     def __post_init__(self) -> None:
         if not isinstance(self.floor, Floor):
             raise ValueError(f"floor: expected a Floor, got {type(self.floor).__name__}")
         header = convert(_header(self), Header, "header", inside="")
         floor = Floor(header.floor.x, header.floor.y, header.floor.resolution)
-        objects = tuple(msgspec.to_builtins(each) for each in header.objects)
-        checked = {"t_capture": header.t_capture, "t_sent": header.t_sent, "floor": floor, "objects": objects}
+        checked = {"t_capture": header.t_capture, "t_sent": header.t_sent, "floor": floor}
+        checked |= {"objects": _entries(header.objects), "coasting": _entries(header.coasting)}
         for name, value in {**checked, "data": _cells(self.data, floor)}.items():
             object.__setattr__(self, name, value)
 
@@ -149,15 +154,20 @@ def decode(frames: Sequence[bytes]) -> Message:
     if len(cells) != nx * ny:
         raise ValueError(f"cells: expected {nx * ny} bytes, got {len(cells)}")
     data = np.frombuffer(bytes(cells), np.int8).reshape(ny, nx)
-    objects = [msgspec.to_builtins(each) for each in header.objects]
-    return Message(header.sequence, header.t_capture, header.t_sent, data, floor, objects, header.session)
+    objects, coasting = _entries(header.objects), _entries(header.coasting)
+    return Message(header.sequence, header.t_capture, header.t_sent, data, floor, objects, header.session, coasting)
 
 
 def _header(message: Message) -> dict[str, Any]:
     floor, (height, width) = message.floor, message.floor.shape
     area = {"x": list(floor.x), "y": list(floor.y), "resolution": floor.resolution}
     own = {name: getattr(message, name) for name in ("session", "sequence", "t_capture", "t_sent")}
-    return {**own, "floor": area, "width": width, "height": height, "objects": message.objects}
+    header = {**own, "floor": area, "width": width, "height": height, "objects": message.objects}
+    return {**header, "coasting": message.coasting} if message.coasting else header
+
+
+def _entries(objects: Sequence[MapObject]) -> tuple[dict[str, Any], ...]:
+    return tuple(msgspec.to_builtins(each) for each in objects)
 
 
 def _json(text: bytes) -> Any:

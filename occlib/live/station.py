@@ -175,8 +175,8 @@ def publish_maps(
         bar = tqdm(feed.instants, total=feed.count, unit="frame", disable=None if progress else True)
         for instant in bar:
             result = pipeline.process(instant.images, instant.time)
-            objects = [thing.to_dict() for thing in result.objects]
-            publisher.send(result.map.data, feed.rig.floor, objects, instant.epoch())
+            objects, coasting = ([each.to_dict() for each in some] for some in (result.objects, result.coasting))
+            publisher.send(result.map.data, feed.rig.floor, objects, instant.epoch(), coasting)
             if topic is not None:
                 topic.send(result.map, instant.epoch())
             published.maps += 1

@@ -28,7 +28,7 @@ from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, Protocol, TypeAlias
 
 from tqdm import tqdm
 
@@ -42,7 +42,7 @@ from occlib.plotting import figure_png
 from occlib.recordings import open_recording
 from occlib.study import charts, tables
 from occlib.study.trials import PHOTOGRAPHS, known_names
-from occlib.study.work import Batch, batches, run_batch
+from occlib.study.work import batches, run_batch
 
 __all__ = ["Sweep", "load_matchers", "run_batches", "sweep", "versions"]
 
@@ -51,15 +51,24 @@ CONNECT_S = 5  # a scheduler that does not answer within this is not there
 PATIENCE_S = 30  # a cluster that has no worker for so long has none
 POLL_S = 0.05  # between two looks of a worker whether the main process still lives
 
+
+class Unit(Protocol):
+    """One unit of work: small, frozen, picklable; its ``repr`` is its definition."""
+
+    @property
+    def key(self) -> str:
+        """A name for files, its own."""
+
+
 Done: TypeAlias = tuple[str, str, str]  # key, table as CSV, and in one line what went wrong
-Work: TypeAlias = "Callable[[Batch], Done]"
+Work: TypeAlias = "Callable[[Unit], Done]"
 
 _ALONE = threading.Lock()  # number of threads and registered matchers are the process's: one batch at a time in each
 
 
 def run_batches(
-    batches: Sequence[Batch],
-    function: Callable[[Batch], pd.DataFrame],
+    batches: Sequence[Unit],
+    function: Callable[[Any], pd.DataFrame],
     out: str | Path,
     *,
     jobs: int = 1,
@@ -130,7 +139,7 @@ def run_batches(
         return _publish(Path(out), {batch.key: texts[batch.key] for batch in batches}, made_of, tables)
 
 
-def _check(batches: Sequence[Batch], jobs: int, scheduler: str | None) -> None:
+def _check(batches: Sequence[Unit], jobs: int, scheduler: str | None) -> None:
     if not batches:
         raise ValueError("batches: expected one or more, got none")
     if not isinstance(jobs, int) or jobs < 1:
@@ -183,13 +192,13 @@ def _locked(folder: Path) -> Iterator[None]:
             os.close(handle)
 
 
-def _sealed(text: str, batch: Batch, made_of: Mapping[str, Any]) -> str:
+def _sealed(text: str, batch: Unit, made_of: Mapping[str, Any]) -> str:
     """A table with a last line that vouches for it: made of what, and its hash."""
     seal = {"batch": repr(batch), **made_of, "sha256": sha256(text)}
     return f"{text}# {json.dumps(seal)}\n"
 
 
-def _kept(folder: Path, batches: Sequence[Batch], made_of: Mapping[str, Any]) -> tuple[dict[str, str], int]:
+def _kept(folder: Path, batches: Sequence[Unit], made_of: Mapping[str, Any]) -> tuple[dict[str, str], int]:
     """The tables that are there, whole and made of the same, by the batches' keys; and how many others are there."""
     texts, stale = {}, 0
     for batch in batches:
@@ -230,7 +239,7 @@ def _csv(table: pd.DataFrame) -> str:
     return str(table.to_csv(index=False, lineterminator="\n"))
 
 
-def _work(function: Callable[[Batch], pd.DataFrame], expected: Mapping[str, str], batch: Batch) -> Done:
+def _work(function: Callable[[Any], pd.DataFrame], expected: Mapping[str, str], batch: Unit) -> Done:
     """One batch, here or in a worker, with one thread: its table, or in one line what went wrong."""
     try:
         if other := [name for name, version in versions().items() if version != expected.get(name)]:
@@ -248,7 +257,7 @@ def _one_line(error: BaseException) -> str:
     return " ".join(f"{type(error).__name__}: {error}".split())[:300]
 
 
-def _results(work: Work, batches: Sequence[Batch], jobs: int, scheduler: str | None) -> Generator[Done, None, None]:
+def _results(work: Work, batches: Sequence[Unit], jobs: int, scheduler: str | None) -> Generator[Done, None, None]:
     """What becomes of each batch, as soon as it is known."""
     if scheduler and batches:
         return _on_cluster(work, batches, scheduler)
@@ -257,7 +266,7 @@ def _results(work: Work, batches: Sequence[Batch], jobs: int, scheduler: str | N
     return (work(batch) for batch in batches)
 
 
-def _in_processes(work: Work, batches: Sequence[Batch], jobs: int) -> Generator[Done, None, None]:
+def _in_processes(work: Work, batches: Sequence[Unit], jobs: int) -> Generator[Done, None, None]:
     from joblib import Parallel, delayed, parallel_config
     from joblib.externals.loky import get_reusable_executor
 
@@ -292,7 +301,7 @@ def _end_with(parent: int, adopted_by: int) -> None:
     os._exit(1)
 
 
-def _on_cluster(work: Work, batches: Sequence[Batch], scheduler: str) -> Generator[Done, None, None]:
+def _on_cluster(work: Work, batches: Sequence[Unit], scheduler: str) -> Generator[Done, None, None]:
     distributed = import_extra("distributed", "dask")
     for name in ("distributed", "distributed.client"):  # what goes wrong is told here, in one line
         logging.getLogger(name).setLevel(logging.CRITICAL)

@@ -16,6 +16,7 @@ import cv2
 import numpy as np
 import pytest
 
+from helpers.broadcasts import FLOOR, GRID, THINGS
 from helpers.commands import fails
 from occlib.cli import main
 from occlib.live.broadcast import Publisher
@@ -83,6 +84,19 @@ def test_broadcast_and_listen(
         assert re.match(r"\d+ maps published; frames dropped: \d+ of left, \d+ of right$", stopped(process, how))
     assert main(["listen", address, "--count", "1", "--timeout", "0.1"]) == 1
     assert capsys.readouterr().err.endswith("\n0 maps received, 0 missed, 0 rejected\n")
+
+
+def test_listen_tells_what_is_not_seen_now(capsys: pytest.CaptureFixture[str]) -> None:
+    with Publisher() as publisher:
+        publisher.send(GRID, FLOOR, THINGS[:1], 1.0, THINGS[1:])
+        assert main(["listen", publisher.address, "--count", "1", "--timeout", "5"]) == 0
+        assert capsys.readouterr().out.endswith("1 objects  1 (0.50, 1.00); not seen now:  2 (0.50, 1.00)\n")
+        assert main(["listen", publisher.address, "--count", "1", "--timeout", "5", "--json"]) == 0
+        said = json.loads(capsys.readouterr().out)
+        assert [[each["id"] for each in said[name]] for name in ("objects", "coasting")] == [[1], [2]]
+        publisher.send(GRID, FLOOR, THINGS, 2.0)
+        assert main(["listen", publisher.address, "--count", "1", "--timeout", "5", "--json"]) == 0
+        assert "coasting" not in json.loads(capsys.readouterr().out)
 
 
 def test_listen_is_interrupted(tmp_path: Path) -> None:

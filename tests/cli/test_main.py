@@ -5,13 +5,16 @@ from __future__ import annotations
 import re
 import subprocess
 import sys
+import warnings
 from typing import Any
 
 import pytest
 
 from helpers.commands import fails
 from occlib import __version__
+from occlib.base.checks import Notice
 from occlib.cli import build_parser, main
+from occlib.cli.commands import _notices
 
 
 def commands() -> list[str]:
@@ -71,6 +74,17 @@ def test_other_commands_say_what_is_wrong(
     capfd: pytest.CaptureFixture[str], arguments: list[str], message: str
 ) -> None:
     assert re.search(message, fails(capfd, *arguments))
+
+
+def test_a_notice_is_one_line_said_once(capsys: pytest.CaptureFixture[str]) -> None:
+    with _notices("run"):
+        for text in ("a is short", "b is short", "a is short"):
+            warnings.warn(text, Notice, stacklevel=1)
+        with pytest.raises(UserWarning, match="another"):  # an error in tests, as outside
+            warnings.warn("another", UserWarning, stacklevel=1)
+    assert capsys.readouterr().err == "occlib run: warning: a is short\nocclib run: warning: b is short\n"
+    with pytest.raises(Notice):
+        warnings.warn("later", Notice, stacklevel=1)
 
 
 def test_data_list(capsys: pytest.CaptureFixture[str]) -> None:

@@ -70,7 +70,7 @@ def test_no_room_and_unknown_shapes_are_refused() -> None:
     with pytest.raises(ValueError, match="no room for 200"):
         random_crowd(200, np.random.default_rng(0))
     with pytest.raises(ValueError, match="shape: expected one of"):
-        upright("cone", (0, 0), 0.3, 0.3)
+        upright("torus", (0, 0), 0.3, 0.3)
 
 
 # --- shadows -----------------------------------------------------------------------------------------------

@@ -13,9 +13,10 @@ import yaml
 
 from occlib.geometry import Rig
 from occlib.lab.manifest import verify_manifest, write_manifest
-from occlib.lab.rendering import load_mitsuba, render, scaled_camera, wood_texture
+from occlib.lab.rendering import load_mitsuba, render, scaled_camera
 from occlib.lab.scenes import floor_board, load_scene
 from occlib.lab.shapes import hit_distance, unit_mesh
+from occlib.lab.surfaces import wood_texture
 from occlib.lab.truth import ground_truth, silhouettes
 from occlib.recordings import LAB
 
@@ -251,7 +252,7 @@ BOX = {"shape": "box", "centre": [0, 0, 0], "size": [1, 1, 1]}
         ({"vinyl": {"roughness": "none"}}, "room.yaml: vinyl.roughness: expected a finite number > 0, got 'none'"),
         ({"wood": {"colour": [1, 2, 3]}}, r"room.yaml: wood: expected the fields .* missing or not known: 'roughness'"),
         ({"window": {"size": [0, 1]}}, "room.yaml: window: expected the fields .* missing or not known: 'centre'"),
-        ({"objects": [{**THING, "parts": [{**BOX, "shape": "cone"}]}]}, "expected one of box"),
+        ({"objects": [{**THING, "parts": [{**BOX, "shape": "torus"}]}]}, "expected one of box"),
         ({"objects": [{**THING, "parts": [{**BOX, "size": [1, 0, 1]}]}]}, "three lengths > 0"),
         ({"objects": [{**THING, "parts": [BOX], "path": [{"frame": 0, "at": [0]}]}]}, "expected 2 finite numbers"),
         ({"objects": 5}, "objects: expected a list of objects, got 5"),

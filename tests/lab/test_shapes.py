@@ -37,15 +37,18 @@ def octahedron(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(SHAPES, "octahedron", Shape(octahedron_mesh, in_octahedron))
 
 
+@pytest.mark.parametrize(
+    "station", [(-3.0, 0.5, 1.5), (0.0, -2.0, 2.8), (0.5, 1.8, -1.9)], ids=["aside", "above", "below"]
+)
 @pytest.mark.parametrize("name", [*SHAPES, "octahedron"])
-def test_rays_and_mesh_are_the_same_solid(name: str) -> None:
+def test_rays_and_mesh_are_the_same_solid(name: str, station: tuple[float, float, float]) -> None:
     rng, matrix = np.random.default_rng(0), np.eye(4)
     matrix[:3, :3] = rotation_xyz((20, -35, 50)) @ np.diag([0.5, 0.8, 0.3])
     matrix[:3, 3] = 0.2, -0.1, 0.4
     vertices, faces = unit_mesh(name)
     assert np.array_equal([vertices.min(axis=0), vertices.max(axis=0)], [[-0.5] * 3, [0.5] * 3])
     assert set(faces.ravel()) == set(range(len(vertices)))
-    origin, aims = np.array([-3.0, 0.5, 1.5]), rng.uniform(-0.3, 0.3, (500, 3)) + matrix[:3, 3]
+    origin, aims = np.array(station), rng.uniform(-0.3, 0.3, (500, 3)) + matrix[:3, 3]
     depth = hit_distance(name, matrix, origin, aims - origin)
     hull = ConvexHull(vertices @ matrix[:3, :3].T + matrix[:3, 3])
     facing = (aims - origin) @ hull.equations[:, :3].T  # > 0 where a ray leaves the half-space of a face
@@ -78,5 +81,7 @@ def test_shadow_of_a_new_shape_is_its_outline() -> None:
 
 
 def test_an_unknown_shape_is_named_with_those_that_are_known() -> None:
-    with pytest.raises(ValueError, match="shape: expected one of box, ellipsoid, cylinder, octahedron, got 'torus'"):
+    with pytest.raises(
+        ValueError, match="shape: expected one of box, ellipsoid, cylinder, cone, octahedron, got 'torus'"
+    ):
         upright("torus", (0.0, 0.0), 0.4, 0.4)

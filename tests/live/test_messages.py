@@ -73,6 +73,23 @@ def test_the_size_travels_and_publishers_that_do_not_know_it_are_understood() ->
             message(objects=[{**THINGS[0], "size": wrong}])
 
 
+def test_what_coasts_travels_beside_the_objects_if_anything_does() -> None:
+    assert "coasting" not in json.loads(encode(message(coasting=[]))[1]) and message(coasting=[]) == message()
+    assert message().coasting == decode(encode(message())).coasting == ()
+    sent = message(objects=THINGS[:1], coasting=THINGS[1:])
+    assert json.loads(encode(sent)[1])["coasting"] == THINGS[1:]
+    got = decode(encode(sent))
+    assert got == sent != message(objects=THINGS[:1])
+    assert (list(got.objects), list(got.coasting)) == (THINGS[:1], THINGS[1:])
+    assert decode([encode(sent)[0], spoilt(coasting=[]), encode(sent)[2]]).coasting == ()
+    with pytest.raises(ValueError, match=r"coasting\[0\].x: expected a number"):
+        message(coasting=[{**THINGS[0], "id": 3, "x": "far"}])
+    with pytest.raises(ValueError, match="coasting: expected other ids than those of the objects, got one of them"):
+        message(objects=THINGS[:1], coasting=THINGS)
+    with pytest.raises(ValueError, match="coasting: expected different ids, got one twice"):
+        message(objects=[], coasting=[THINGS[0]] * 2)
+
+
 def test_numbers_of_numpy_may_be_sent() -> None:
     objects = [{**THINGS[0], "x": np.float64(0.5), "colour": np.array([200, 30, 30])}, THINGS[1]]
     assert message(objects=objects, t_capture=np.float64(10.0)) == message()

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import shutil
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -45,12 +47,23 @@ def test_every_map_of_a_recording_is_published(feed: Feed) -> None:
     assert (published.maps, len(publisher), len(topic)) == (5, 5, 5)
     assert (published.skew_s, published.ended) == (0.0, {})
     assert published.dropped == {"left": 0, "right": 0}
-    for (data, floor, objects, taken), (grid, stamp) in zip(publisher, topic, strict=True):
+    for (data, floor, objects, taken, coasting), (grid, stamp) in zip(publisher, topic, strict=True):
         assert np.array_equal(data, grid.data) and floor == feed.rig.floor == grid.floor
-        assert len(objects) == 2
+        assert len(objects) == 2 and coasting == []
         assert begun <= taken <= time.time() and abs(stamp - taken) < 0.1
-    ids = [[thing["id"] for thing in objects] for _, _, objects, _ in publisher]
+    ids = [[thing["id"] for thing in objects] for _, _, objects, _, _ in publisher]
     assert ids == [[1, 2]] * 5  # what was run to warm up has left no trace
+
+
+def test_what_coasts_is_published_beside_the_objects(tiny_recording: Path) -> None:
+    for name in ("left", "right"):
+        shutil.copyfile(tiny_recording / f"background/{name}/0.png", tiny_recording / f"frames/{name}/0003.png")
+    publisher = Sent()
+    publish_maps(recorded_feed(open_recording(tiny_recording), rate=0), SETTINGS, publisher)  # type: ignore[arg-type]
+    listed = [
+        [[each["id"] for each in some] for some in (objects, coasting)] for _, _, objects, _, coasting in publisher
+    ]
+    assert listed == [[[1, 2], []]] * 3 + [[[], [1, 2]]] + [[[1, 2], []]]
 
 
 def test_ctrl_c_ends_it_in_peace(feed: Feed) -> None:
@@ -157,6 +170,15 @@ def test_the_newest_map_is_drawn_at_most_once_a_second_and_at_the_end(
             assert picture._drawing is not None
             picture._drawing.result(5)
     assert drawn == [1, 3, 5, 6]
+
+
+def test_the_picture_shows_what_coasts(tmp_path: Path) -> None:
+    usual = message(3)
+    waiting = replace(usual, objects=[], coasting=usual.objects)
+    drawn = {
+        draw_message(one, tmp_path / "map.png").read_bytes() for one in (usual, waiting, replace(usual, objects=[]))
+    }
+    assert len(drawn) == 3
 
 
 def test_the_picture_and_its_failure(tmp_path: Path) -> None:

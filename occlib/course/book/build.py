@@ -44,8 +44,8 @@ SECTIONS = {
     ),
     "Teach it": ("teaching",),
     "Look it up": (
-        *("ledger", "results", "gallery", "architecture", "api", "glossary", "bibliography", "environment", "lab"),
-        *("contributing", "changelog"),
+        *("ledger", "results", "rooms", "gallery", "architecture", "api", "glossary", "bibliography"),
+        *("environment", "lab", "contributing", "changelog"),
     ),
 }
 """Pages after the chapters, in order; one whose source is not there is left out."""

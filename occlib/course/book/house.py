@@ -21,6 +21,7 @@ WORDS = {
     "settings": "the three profiles",
     "explaining": "beyond AND",
     "finding": "objects as regions of the evidence",
+    "memory": "objects not seen now stay on the map",
     "identification": "known objects in each view",
     "calibration": "§2",
     "floor_marks": "§2",
