@@ -10,8 +10,9 @@ import os
 import re
 import sys
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -144,7 +145,12 @@ class Recording:
     @property
     def without_background(self) -> list[str]:
         """The cameras that have no picture of the empty floor."""
-        return [name for name in self.sources if open_footage(self.path / "background" / name) is None]
+        return [name for name in self.sources if name not in self._backgrounds]
+
+    @cached_property
+    def _backgrounds(self) -> dict[str, Footage]:
+        """The pictures of the empty floor by camera, opened once: of a video the end is looked for."""
+        return _footage_in(self.path / "background", self.sources)
 
     def background_images(self) -> dict[str, list[Image]]:
         """The pictures of the empty floor for each camera; a camera without any is left out.
@@ -152,9 +158,9 @@ class Recording:
         What lies in ``background/`` and belongs to no camera, or cannot be read, is named in a ``Notice``.
         """
         folder, cameras = self.path / "background", Rig.load(self.path / "rig.yaml").cameras
-        if ignored := _ignored(folder, list(self.rig.cameras), set(cameras) - set(self.rig.cameras)):
+        if ignored := _ignored(folder, self._backgrounds, set(cameras) - set(self.rig.cameras)):
             _notice(f"{folder}: ignored {_some(ignored)} (expected {expected_files('CAMERA')} of {', '.join(cameras)})")
-        return empty_floor_images(folder, self.rig)
+        return {name: _empty_floor(source, self.rig[name].size) for name, source in self._backgrounds.items()}
 
 
 def empty_floor_images(folder: str | Path, rig: Rig) -> dict[str, list[Image]]:
@@ -163,8 +169,13 @@ def empty_floor_images(folder: str | Path, rig: Rig) -> dict[str, list[Image]]:
     Of more than :data:`EMPTY_FRAMES` as many are read, spread evenly. A camera without any is left out. A damaged picture, one
     of the wrong size, or both pictures and a video of one camera are a ``ValueError``.
     """
-    sources = {name: open_footage(Path(folder) / name) for name in rig.cameras}
-    return {name: _empty_floor(source, rig[name].size) for name, source in sources.items() if source is not None}
+    sources = _footage_in(Path(folder), rig.cameras)
+    return {name: _empty_floor(source, rig[name].size) for name, source in sources.items()}
+
+
+def _footage_in(folder: Path, cameras: Iterable[str]) -> dict[str, Footage]:
+    """The pictures of those cameras that have some in a folder."""
+    return {name: source for name in cameras if (source := open_footage(folder / name)) is not None}
 
 
 def _empty_floor(source: Footage, size: tuple[int, int]) -> list[Image]:
@@ -184,9 +195,8 @@ def _empty_floor(source: Footage, size: tuple[int, int]) -> list[Image]:
     return images
 
 
-def _ignored(folder: Path, cameras: Sequence[str], others: set[str]) -> list[str]:
+def _ignored(folder: Path, sources: Mapping[str, Footage], others: set[str]) -> list[str]:
     """What lies in the folder, or in that of a camera, and is none of the pictures; hidden files and other cameras' aside."""
-    sources = {name: source for name in cameras if (source := open_footage(folder / name)) is not None}
     own = {source.entry(folder / name): source.files for name, source in sources.items()}
     names: list[str] = []
     for entry in _visible(folder):

@@ -392,6 +392,17 @@ def test_an_empty_floor_may_be_a_video(tiny_recording: Path) -> None:
         recording.background_images()
 
 
+def test_the_pictures_of_the_empty_floor_are_opened_once(tiny_recording: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Opening a video looks for its end, which takes a while."""
+    opened: list[Path] = []
+    monkeypatch.setattr(recordings, "open_footage", lambda place: opened.append(place) or footage.open_footage(place))
+    recording = open_recording(tiny_recording)
+    opened.clear()
+    assert recording.without_background == [] and len(recording.background_images()["left"]) == 2
+    assert recording.without_background == []
+    assert sorted(opened) == [tiny_recording / "background" / name for name in ("left", "right")]
+
+
 # --- formats ---------------------------------------------------------------------------------------
 def test_a_format_of_ones_own(tiny_recording: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     whole = dict(open_recording(tiny_recording).images())

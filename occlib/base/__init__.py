@@ -1,4 +1,4 @@
-"""What has nothing to do with cameras: arrays, checks of arguments, files, interrupts, intervals, compiled loops."""
+"""What has nothing to do with cameras: arrays, checks of arguments, files, videos, Markdown, interrupts, intervals, compiled loops."""
 # fmt: off
 
 from occlib.base import checks

@@ -42,8 +42,6 @@ def build_parser() -> argparse.ArgumentParser:
 @contextmanager
 def _notices(command: str) -> Iterator[None]:
     """What is wrong with the input, though the work goes on, is said in a line on stderr, once."""
-    from tqdm import tqdm
-
     from occlib.base.checks import Notice
 
     said: set[str] = set()
@@ -55,6 +53,8 @@ def _notices(command: str) -> Iterator[None]:
         if not issubclass(category, Notice):
             others(message, category, filename, lineno, file, line)
         elif str(message) not in said:
+            from tqdm import tqdm  # only now: it would make every command start later
+
             said.add(str(message))
             tqdm.write(f"occlib {command}: warning: {message}", file=sys.stderr)  # above the bars, if there are any
 

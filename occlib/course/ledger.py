@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, get_args
 
 from occlib.base.files import read_text, read_yaml, write_file
+from occlib.base.markdown import END, table_text, with_block
 from occlib.course.book.pages import check_blocks
 from occlib.formats import PLACE, Claim, Evidence, Kind, VerdictWord, convert
 from occlib.reproduce import find_root, recorded_metrics
@@ -192,13 +193,13 @@ def markdown_table(claims: Sequence[Claim], which: str = "headline", *, root: st
             for claim in claims
             if claim.headline
         ]
-        return _table(("the paper says", "verdict", "measured here"), short)
+        return table_text(("the paper says", "verdict", "measured here"), short)
     counts = verdict_counts(claims)
     by_kind = [
         (str(kind), *map(str, row), str(sum(row))) for kind, row in zip(counts.index, counts.to_numpy(), strict=True)
     ]
     total = counts.to_numpy().sum(axis=0)
-    parts = [_table(("", *VERDICTS, "all"), [*by_kind, ("all", *map(str, total), str(total.sum()))])]
+    parts = [table_text(("", *VERDICTS, "all"), [*by_kind, ("all", *map(str, total), str(total.sum()))])]
     for section, title in SECTIONS.items():
         if entries := [_entry(claim, metrics) for claim in claims if claim.section == section]:
             parts.append("\n\n".join([f"## {title}", *entries]))
@@ -234,12 +235,6 @@ def _sentence(text: str) -> str:
     return text and f"{text[0].upper()}{text[1:].rstrip('.')}."
 
 
-def _table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    lines = [header, ["---"] * len(header), *rows]
-    cells = [[" ".join(cell.split()).replace("|", r"\|") for cell in line] for line in lines]
-    return "\n".join(f"| {' | '.join(line)} |" for line in cells)
-
-
 def generated_texts(root: str | Path | None = None) -> dict[Path, str]:
     """The files with a block of the ledger, and what they should say.
 
@@ -251,17 +246,14 @@ def generated_texts(root: str | Path | None = None) -> dict[Path, str]:
     home = Path(root or find_root())
     claims, texts = load_claims(root=home), {}
     for name, block in GENERATED.items():
-        text = read_text(home / name)
-        first, last = f"<!-- ledger: {block} -->\n", "<!-- end -->"
-        before, found, rest = text.partition(first)
-        _, closed, after = rest.partition(last)
-        if not found or not closed:
-            raise ValueError(f"{name}: expected a block from {first.strip()} to {last}")
+        text, first = read_text(home / name), f"<!-- ledger: {block} -->\n"
+        written = with_block(text, first, markdown_table(claims, block, root=home))
+        if written is None:
+            raise ValueError(f"{name}: expected a block from {first.strip()} to {END}")
         check_blocks(name, text)
         if (count := text.count(first)) > 1:
             raise ValueError(f"{name}: expected one block {first.strip()}, found {count}")
-        table = markdown_table(claims, block, root=home)
-        texts[home / name] = f"{before}{first}\n{table}\n\n{last}{after}"
+        texts[home / name] = written
         check_blocks(name, texts[home / name])  # an entry must not close the block
     return texts
 

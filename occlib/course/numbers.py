@@ -8,14 +8,13 @@ notebook and name of the metric. In a table the key may stand visibly in the las
 
 from __future__ import annotations
 
-import csv
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from occlib.reproduce import tags
+from occlib.reproduce import read_metrics, tags
 
 LENGTHS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "km": 1000.0}
 """Units of length in metres."""
@@ -74,8 +73,7 @@ class Quoted:
 
 def load_metrics(path: str | Path) -> dict[str, Measured]:
     """The rows of ``metrics.csv`` by their keys, ``04/f1_zncc``."""
-    with Path(path).open(encoding="utf-8", newline="") as file:
-        rows = list(csv.DictReader(file))
+    rows = read_metrics(Path(path))
     return {f"{row['notebook'][:2]}/{row['metric']}": Measured(float(row["value"]), row["unit"]) for row in rows}
 
 

@@ -7,9 +7,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from typing import Any
 
 import msgspec
 import numpy as np
+import numpy.typing as npt
 
 from occlib.formats.scene import PartEntry, SwingEntry
 
@@ -21,6 +23,13 @@ DARK = (30, 31, 34)
 
 SKIN = ((224, 180, 150), (198, 144, 112), (150, 102, 74), (96, 64, 48))
 
+HAIR = ((30, 24, 20), (64, 44, 30), (120, 90, 54), (120, 118, 114))
+
+
+def rounded(values: Iterable[float], digits: int = 3) -> tuple[Any, ...]:
+    """Numbers as they stand in a YAML file."""
+    return tuple(round(float(v), digits) for v in values)
+
 
 def _part(
     shape: str,
@@ -30,8 +39,14 @@ def _part(
     turn: Iterable[float] = (0, 0, 0),
     swing: SwingEntry | None = None,
 ) -> PartEntry:
-    rounded = [tuple(round(float(v), 4) for v in values) for values in (centre, size, turn)]
-    return PartEntry(shape=shape, centre=rounded[0], size=rounded[1], colour=colour, turn=rounded[2], swing=swing)  # type: ignore[arg-type]
+    place, extent, angles = (rounded(values, 4) for values in (centre, size, turn))
+    return PartEntry(shape=shape, centre=place, size=extent, colour=colour, turn=angles, swing=swing)
+
+
+def as_colour(levels: npt.ArrayLike) -> Colour:
+    """Grey levels of red, green and blue as whole numbers, none of them quite black or white."""
+    r, g, b = np.clip(np.rint(levels), 8, 245).astype(int).tolist()
+    return r, g, b
 
 
 def any_colour(rng: np.random.Generator) -> Colour:
@@ -39,14 +54,12 @@ def any_colour(rng: np.random.Generator) -> Colour:
     hue, grey = rng.uniform(0, 2 * np.pi), rng.uniform(25, 215)
     strength = rng.uniform(0, 0.8) * min(grey, 235 - grey)
     wave = np.cos(hue - np.array([0, 2, 4]) * np.pi / 3)
-    r, g, b = np.clip(np.rint(grey + strength * wave), 8, 245).astype(int).tolist()
-    return r, g, b
+    return as_colour(grey + strength * wave)
 
 
 def near(colour: Iterable[float], rng: np.random.Generator, spread: int = 14) -> Colour:
     """A colour that differs from another by at most ``spread`` in each channel."""
-    r, g, b = np.clip(np.array(list(colour), int) + rng.integers(-spread, spread + 1, 3), 8, 245).tolist()
-    return r, g, b
+    return as_colour(np.array(list(colour), int) + rng.integers(-spread, spread + 1, 3))
 
 
 def _mast(rng: np.random.Generator, x: float, foot: float) -> Parts:
@@ -150,7 +163,7 @@ def walker(rng: np.random.Generator, colour: Colour, *, step: float = 21.0) -> P
     """A person who walks: legs and arms swing about hips and shoulders, ``step`` degrees."""
     tall = rng.uniform(1.55, 1.9)
     k, skin, trousers = tall / 1.75, SKIN[rng.integers(len(SKIN))], any_colour(rng)
-    hair, shoes = SKIN_DARK[rng.integers(len(SKIN_DARK))], any_colour(rng) if rng.random() < 0.3 else DARK
+    hair, shoes = HAIR[rng.integers(len(HAIR))], any_colour(rng) if rng.random() < 0.3 else DARK
     period, phase = round(float(rng.uniform(5.0, 6.5)), 2), round(float(rng.random()), 3)
     hip, shoulder = 0.88 * k, 1.42 * k
     parts = []
@@ -196,10 +209,6 @@ def stander(rng: np.random.Generator, colour: Colour) -> Parts:
     ]
 
 
-SKIN_DARK = ((30, 24, 20), (64, 44, 30), (120, 90, 54), (120, 118, 114))
-"""Colours of hair."""
-
-
 def _trunk(middle: float, k: float, skin: Colour, hair: Colour, x: float = 0.0) -> Parts:
     """Trunk, neck and head; the trunk's middle at a height, for a person of 1.75 m times ``k``."""
     up = middle - 1.19 * k
@@ -227,7 +236,7 @@ def chair(colour: Colour) -> Parts:
 def sitter(rng: np.random.Generator, colour: Colour) -> Parts:
     """A person on a chair, as one object."""
     k, skin, trousers = rng.uniform(0.93, 1.06), SKIN[rng.integers(len(SKIN))], any_colour(rng)
-    hair, out = SKIN_DARK[rng.integers(len(SKIN_DARK))], 0.36 * k
+    hair, out = HAIR[rng.integers(len(HAIR))], 0.36 * k
     parts = chair(any_colour(rng))
     for side in (1, -1):
         y = side * 0.1 * k

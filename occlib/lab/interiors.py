@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 import msgspec
 import numpy as np
@@ -23,7 +22,7 @@ from occlib.formats.scene import (
     Window,
 )
 from occlib.geometry import look_at
-from occlib.lab.furnishing import any_colour, near
+from occlib.lab.furnishing import any_colour, as_colour, near, rounded
 from occlib.lab.lights import light_points
 
 FACING_DEG = (0.0, 180.0, 90.0, 270.0)
@@ -33,14 +32,8 @@ CROSSING_DEG = (60.0, 180.0)
 """Between the directions in which the first two cameras are seen from the middle of the floor."""
 
 
-def rounded(values: Iterable[float], digits: int = 3) -> tuple[Any, ...]:
-    """Numbers as they stand in a YAML file."""
-    return tuple(round(float(v), digits) for v in values)
-
-
 def _tint(rng: np.random.Generator, grey: float, warmth: float) -> tuple[int, int, int]:
-    r, g, b = np.clip(np.rint(grey * (1 + warmth * np.array([1.0, 0.1, -1.0]))), 8, 245).astype(int).tolist()
-    return r, g, b
+    return as_colour(grey * (1 + warmth * np.array([1.0, 0.1, -1.0])))
 
 
 def _surface(rng: np.random.Generator) -> Surface:

@@ -10,8 +10,7 @@ import numpy as np
 
 from occlib.base.arrays import FloatArray
 from occlib.formats.scene import ObjectEntry, PartEntry, RoomFile, RoomFloor, WaypointEntry
-from occlib.lab.furnishing import FURNITURE, OBJECTS, Colour, any_colour, near
-from occlib.lab.interiors import rounded
+from occlib.lab.furnishing import FURNITURE, OBJECTS, Colour, any_colour, near, rounded
 from occlib.lab.scenes import Scene, SceneObject, Waypoint, object_of
 from occlib.lab.shapes import unit_mesh
 from occlib.lab.truth import silhouettes

@@ -5,7 +5,7 @@ Only needed to make ``data/lab`` again or to render a scene of one's own; truth 
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -20,7 +20,7 @@ from occlib.base.files import encode_image, staged_folder, write_file
 from occlib.formats.scene import Lamp, Surface, Window, Wood
 from occlib.geometry import Rig
 from occlib.lab.engine import load_mitsuba
-from occlib.lab.lights import light_points
+from occlib.lab.lights import CEILING_BELOW_M, light_points
 from occlib.lab.scenes import BOARD_PATTERN, Board, Scene, floor_board, floor_marks, scaled_camera
 from occlib.lab.shapes import Part, hit_distance, unit_mesh
 from occlib.lab.surfaces import surface_texture, to_linear, to_srgb, vinyl_texture, wood_texture
@@ -56,6 +56,7 @@ class Studio:
         self._empty: dict[tuple[str, tuple[float, ...]], Any] = {}
         self._floor: dict[str, Any] = {}
         self._surfaces: dict[str, FloatArray] = {}
+        self._lights = light_points(self.room)
 
     def _description(self) -> dict[str, Any]:
         mi, room = self.mi, self.room
@@ -71,17 +72,11 @@ class Studio:
                 "to_world": to().translate([*middle, 0]).scale([*half, 1]),
                 "bsdf": self._floor_coat((2 * half[0], 2 * half[1])),
             },
-            "light": {
-                "type": "rectangle",
-                "to_world": to()
-                .translate([*middle, height - 0.02])
-                .rotate([1, 0, 0], 180)
-                .scale([light.size[0] / 2, light.size[1] / 2, 1]),
-                "emitter": {
-                    "type": "area",
-                    "radiance": {"type": "rgb", "value": [light.radiance * c for c in (1.0, 0.985, 0.955)]},
-                },
-            },
+            "light": self._emitter(
+                to().translate([*middle, height - CEILING_BELOW_M]).rotate([1, 0, 0], 180),
+                light.size,
+                [light.radiance * c for c in (1.0, 0.985, 0.955)],
+            ),
             # The floor rectangle lies a hair above the bottom of the box that makes the walls.
             "walls": self._mesh("walls", "box", shift(walls.matrix, -0.001), wall),
         }
@@ -126,28 +121,25 @@ class Studio:
         }
 
     def _window(self, window: Window) -> dict[str, Any]:
-        width, height = window.size
         place = self.mi.ScalarTransform4f().translate(list(window.centre)).rotate([0, 0, 1], window.facing_deg)
-        return {
-            "type": "rectangle",
-            "to_world": place.rotate([0, 1, 0], 90).scale([height / 2, width / 2, 1]),
-            "emitter": {
-                "type": "area",
-                "radiance": {"type": "rgb", "value": [window.radiance * c for c in to_linear(window.colour)]},
-            },
-        }
+        return self._emitter(place.rotate([0, 1, 0], 90), window.size[::-1], self._radiance_of(window))
 
     def _lamp(self, lamp: Lamp) -> dict[str, Any]:
         place = self.mi.ScalarTransform4f().translate(list(lamp.centre)).rotate([1, 0, 0], 180)
+        return self._emitter(place, lamp.size, self._radiance_of(lamp))
+
+    @staticmethod
+    def _emitter(place: Any, size: Sequence[float], radiance: Sequence[float]) -> dict[str, Any]:
+        """A rectangle of light, ``size`` in m, that shines along the z axis of its place."""
         return {
             "type": "rectangle",
-            "to_world": place.scale([lamp.size[0] / 2, lamp.size[1] / 2, 1]),
-            "emitter": {"type": "area", "radiance": {"type": "rgb", "value": self._radiance_of(lamp)}},
+            "to_world": place.scale([size[0] / 2, size[1] / 2, 1]),
+            "emitter": {"type": "area", "radiance": {"type": "rgb", "value": list(radiance)}},
         }
 
     @staticmethod
-    def _radiance_of(lamp: Lamp, factor: float = 1.0) -> list[float]:
-        return [factor * lamp.radiance * c for c in to_linear(lamp.colour)]
+    def _radiance_of(light: Lamp | Window, factor: float = 1.0) -> list[float]:
+        return [factor * light.radiance * c for c in to_linear(light.colour)]
 
     def _matte(self, colour: Iterable[float]) -> Any:
         diffuse = {"type": "diffuse", "reflectance": {"type": "rgb", "value": to_linear(colour)}}
@@ -315,7 +307,7 @@ class Studio:
         """Pixels (H, W) that show what an object keeps more than :data:`SHADOW` of the direct light from, by its bounding box."""
         camera = self.cameras[name]
         width, height = camera.size
-        shaded = light_points(self.room).shaded(self._surfaces[name], self.scene.objects, frame) > SHADOW
+        shaded = self._lights.shaded(self._surfaces[name], self.scene.objects, frame) > SHADOW
         size = len(range(SHADOW_STEP // 2, height, SHADOW_STEP)), -1
         grown = cv2.resize(shaded.reshape(size).astype(np.uint8), (width, height), interpolation=cv2.INTER_NEAREST)
         return grown > 0

@@ -150,8 +150,11 @@ def _published_figures(home: Path) -> dict[str, str]:
 def published_metrics(home: Path) -> Metrics:
     """The rows of ``figures/metrics.csv``; none without that file."""
     path = home / "figures" / "metrics.csv"
-    if not path.exists():
-        return []
+    return read_metrics(path) if path.exists() else []
+
+
+def read_metrics(path: Path) -> Metrics:
+    """The rows of a ``metrics.csv``; ``ValueError`` in one line if it is none."""
     try:
         reader = csv.DictReader(path.read_text(encoding="utf-8").splitlines(), strict=True)
         rows = list(reader)

@@ -9,6 +9,7 @@ from typing import Any, TypeAlias
 
 from occlib.base.files import folder_hash
 from occlib.formats import load_truth
+from occlib.formats.scene import Surface, Wood
 from occlib.lab import DEVELOPMENT, REPORTED, load_scene
 from occlib.recordings import LAB, ROOMS, cache_folder, open_recording
 from occlib.study.rooms.lighting import LIGHTS
@@ -176,10 +177,9 @@ def facts(case: Case) -> dict[str, Any]:
     known: dict[str, Any] = {"objects": max(map(len, truth.frames.values()), default=0), "floor": "", "gloss": ""}
     if not (Path(case.path) / "scene.yaml").is_file() or (room := load_scene(case.path).room) is None:
         return known
-    floor = room.surface or room.wood or room.vinyl
-    assert floor is not None  # the file is checked for one
-    pattern = room.surface.pattern if room.surface else "planks" if room.wood else "vinyl"
-    return {**known, "floor": pattern, "gloss": _gloss(floor.roughness, floor.ior)}
+    coat = room.coat
+    pattern = coat.pattern if isinstance(coat, Surface) else "planks" if isinstance(coat, Wood) else "vinyl"
+    return {**known, "floor": pattern, "gloss": _gloss(coat.roughness, coat.ior)}
 
 
 def _gloss(roughness: float, ior: float) -> str:

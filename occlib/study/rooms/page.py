@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from occlib.base.extras import pandas as pd
 from occlib.base.files import read_text, write_file
+from occlib.base.markdown import END, table_text, with_block
 from occlib.study.rooms.lighting import LIGHTS
 from occlib.study.rooms.tables import kinds_of, load_table
 
-FIRST, LAST = "<!-- rooms: all -->\n", "<!-- end -->"
+FIRST = "<!-- rooms: all -->\n"
 
 ENOUGH = 0.95
 """A rule is called enough for a case with at least this MODA."""
@@ -26,11 +26,10 @@ def page_text(text: str, table: pd.DataFrame) -> str:
 
     Raises ``ValueError`` unless the text has one block from ``<!-- rooms: all -->`` to ``<!-- end -->``.
     """
-    before, found, rest = text.partition(FIRST)
-    _, closed, after = rest.partition(LAST)
-    if not found or not closed or FIRST in after:
-        raise ValueError(f"rooms.md: expected one block from {FIRST.strip()} to {LAST}")
-    return f"{before}{FIRST}\n{_block(table)}\n\n{LAST}{after}"
+    written = with_block(text, FIRST, _block(table))
+    if written is None or text.count(FIRST) > 1:
+        raise ValueError(f"rooms.md: expected one block from {FIRST.strip()} to {END}")
+    return written
 
 
 def stale_page(docs: str | Path) -> bool:
@@ -102,7 +101,7 @@ def _by_condition(rooms: pd.DataFrame) -> str:
                     *(f"{good[m]}" for m in methods),
                 ]
             )
-    return _markdown(header, lines)
+    return table_text(header, lines)
 
 
 def _conditions(group: pd.DataFrame) -> list[tuple[str, pd.DataFrame]]:
@@ -131,7 +130,7 @@ def _by_kind(rooms: pd.DataFrame) -> str:
         [label, f"{count}", *(f"{kinds[method][label][0] / count:.2f}" for method in methods)]
         for label, (_, count) in kinds[methods[-1]].items()
     ]
-    return _markdown(["kind", "objects", *methods], lines)
+    return table_text(["kind", "objects", *methods], lines)
 
 
 def _cases(rooms: pd.DataFrame) -> str:
@@ -173,7 +172,7 @@ def _cases(rooms: pd.DataFrame) -> str:
         of_best = [chosen[n].agg(moda if n in ("precision", "recall") else other) for n in rest]
         cells = [_cell(value, form) for value, (_, form) in zip(of_best, rest.values(), strict=True)]
         lines.append([f"**{title}**", "", "", *(f"{value:.2f}" for value in of_method), *cells])
-    return _markdown(header, lines)
+    return table_text(header, lines)
 
 
 def _about_light(light: pd.DataFrame) -> str:
@@ -199,7 +198,7 @@ def _in_light(light: pd.DataFrame) -> str:
             about = f"{name}: {LIGHTS[name].about}" if name in LIGHTS else name
             cells = [_cell(own["moda"].get(method), "{:.2f}") for method in methods]
             lines.append([about, f"{views}", *cells, f"{own['excluded'].max():.0f}"])
-    return _markdown(header, lines)
+    return table_text(header, lines)
 
 
 def _by_cameras(rooms: pd.DataFrame) -> list[tuple[str, pd.DataFrame]]:
@@ -221,8 +220,3 @@ def _wide(table: pd.DataFrame, column: str) -> pd.DataFrame:
 
 def _cell(value: Any, form: str) -> str:
     return "" if value is None or pd.isna(value) else form.format(value)
-
-
-def _markdown(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    lines = [header, ["---"] * len(header), *rows]
-    return "\n".join(f"| {' | '.join(line)} |" for line in lines)

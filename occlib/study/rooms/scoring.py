@@ -207,8 +207,7 @@ class _Run:
         each_frame = zip(sorted(truth.frames), matched_frames(objects, truth, region, radius), strict=True)
         matched = [_Matched(frame, found, true, pairs) for frame, (found, true, pairs) in each_frame]
         ms = self._ms[1:] or self._ms  # the first call compiles
-        (x0, x1), (y0, y1) = self.floor.x, self.floor.y
-        on_floor = [x0 <= o.x <= x1 and y0 <= o.y <= y1 for seen in self.seen.values() for o in seen.objects]
+        on_floor = [self.floor.contains(o.position_m) for seen in self.seen.values() for o in seen.objects]
         return {
             "moda": _digits(score.moda, 4),
             "precision": _digits(score.precision, 4),
