@@ -22,9 +22,11 @@ from occlib.base.files import encode_image, read_image, read_yaml, write_file
 from occlib.geometry import Floor
 
 FREE, OCCUPIED, UNKNOWN = 0, 100, -1
+"""The values of a cell that is decided, and of one that is not."""
 
 
-BLIND, ONE_VIEW, DISAGREE, UNCONFIRMED, NOT_SEEN = 1, 2, 3, 4, 5
+BLIND, ONE_VIEW, DISAGREE, UNCONFIRMED, NOT_SEEN, EDGE = 1, 2, 3, 4, 5, 6
+"""Numbers of the reasons why a cell is unknown, see :data:`REASONS`; 0 is none."""
 
 
 REASONS = {
@@ -33,9 +35,14 @@ REASONS = {
     DISAGREE: "views disagree",
     UNCONFIRMED: "new",
     NOT_SEEN: "not seen now",
+    EDGE: "beside an object",
 }
 """Why a cell is unknown: blind; foreground in the only view that is left; foreground that the objects on the map explain;
-something new that may be a ghost; or what looks like bare floor, where an object was a moment ago that is not seen now."""
+something new that may be a ghost; what looks like bare floor, where an object was a moment ago that is not seen now; or bare floor so close
+to an object (:data:`EDGE_M`) that the object's edge may be there."""
+
+EDGE_M = 0.12
+"""Bare floor closer than this to an object's footprint, in m between centres of cells, is not called free: the edge is known no better."""
 
 
 MapData: TypeAlias = npt.NDArray[np.int8]
@@ -137,7 +144,7 @@ def instant_map(
 
     Where an object was a moment ago that is not seen now, no view is believed that says "bare floor": that it says so, wrongly, may
     be just why the object is not seen. Such cells are not free. They are occupied where the object is expected now and no view says
-    so.
+    so. Nor is bare floor free beside an object, seen or remembered, closer than :data:`EDGE_M`, as no edge is known better than that.
 
     Parameters
     ----------
@@ -176,9 +183,13 @@ def instant_map(
     reason[unconfirmed] = UNCONFIRMED
     reason[count == 0] = BLIND
     taken = labels > 0
+    stands = taken  # or may stand
     if remembered is not None:
-        taken |= remembered.expected & ~bare
+        taken = taken | (remembered.expected & ~bare)
+        stands = taken | remembered.way
         reason[remembered.way & (reason == 0)] = NOT_SEEN
+    if stands.any():
+        reason[floor.near(stands, EDGE_M) & (reason == 0)] = EDGE
     reason[taken] = 0
     return occupancy_map(taken, reason == 0, floor), reason
 

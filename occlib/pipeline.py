@@ -56,7 +56,7 @@ class FrameResult:
         Those of what was confirmed and is not seen now, where it is expected, while it is on the floor. Its cells are on the map, not
         in ``labels``: see :mod:`occlib.memory`.
     excluded
-        The cameras that are not to be trusted now, and why: missing, black, covered or frozen.
+        The cameras that are not to be trusted now, and why: missing, black, covered, frozen, or in light that nothing explains.
     hidden_by
         For each object the cameras in which more than half of it is hidden: ``{camera: (fraction, id that hides most of it)}``.
     """
@@ -134,7 +134,7 @@ class Pipeline:
             A camera's frame is not given, or has the wrong size or dtype.
         """
         self._check(images, time)
-        excluded = self.monitor.check(images)  # health: cameras that are missing, black, covered or frozen
+        excluded = self.monitor.check(images)  # health: missing, black, covered, frozen, or in odd light
         instant = self._look({name: images[name] for name in self.rig.cameras if name not in excluded})
         found = self.finder.find(instant)
         objects = self.tracker.update(found.observations, time, found.identify)

@@ -30,13 +30,15 @@ if TYPE_CHECKING:
 
 
 CAMERA_COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00", "#F0E442", "#000000")
+"""Of the cameras in the order of the rig, from the palette of Okabe and Ito (2008), which the colour-blind tell apart."""
 
 
 TRUTH_COLOUR = "#D55E00"
+"""Of the true footprints: vermilion."""
 
 
-REASON_COLOURS = {1: "#BFBFBF", 2: "#FBE3B5", 3: "#D9C9E8", 4: "#CDE8D5", 5: "#9CC3E6"}
-"""Why a cell is unknown (:data:`occlib.mapping.REASONS`): grey, pale orange, violet, green, blue."""
+REASON_COLOURS = {1: "#BFBFBF", 2: "#FBE3B5", 3: "#D9C9E8", 4: "#CDE8D5", 5: "#9CC3E6", 6: "#F2C6C6"}
+"""Why a cell is unknown (:data:`occlib.mapping.REASONS`): grey, pale orange, violet, green, blue, pink."""
 
 
 def camera_colours(names: Sequence[str]) -> dict[str, str]:

@@ -20,7 +20,22 @@ from scipy import ndimage
 from occlib import mapping
 from occlib.base import files
 from occlib.geometry import Floor, Rig
-from occlib.mapping import MODES, OccupancyMap, inflate, load_map, occupancy_map, save_map
+from occlib.mapping import (
+    EDGE,
+    EDGE_M,
+    FREE,
+    MODES,
+    OCCUPIED,
+    REASONS,
+    UNKNOWN,
+    OccupancyMap,
+    Remembered,
+    inflate,
+    instant_map,
+    load_map,
+    occupancy_map,
+    save_map,
+)
 from occlib.pipeline import Pipeline, settings_for
 from occlib.plotting import new_figure, show_map
 
@@ -67,6 +82,50 @@ def test_nothing_unseen_is_ever_free(occupied: np.ndarray[Any, Any], visible: np
     assert visible[data == 0].all() and not visible[data == -1].any()
 
 
+# --- beside an object -------------------------------------------------------------------------------------
+@settings(max_examples=40, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1), resolution=st.sampled_from([0.02, 0.05, 0.06, 0.12, 0.2]), coasts=st.booleans())
+def test_bare_floor_beside_an_object_seen_or_remembered_is_unknown_and_nothing_else_changes(
+    seed: int, resolution: float, coasts: bool
+) -> None:
+    floor = Floor((0.0, 20 * resolution), (1.0, 1.0 + 12 * resolution), resolution)
+    rng = np.random.default_rng(seed)
+
+    def cells(share: float) -> np.ndarray[Any, Any]:
+        return rng.random(floor.shape) < share
+
+    labels = cells(0.03).astype(np.int32)
+    views, visible = {"left": cells(0.2)}, {"left": cells(0.8), "right": cells(0.5)}
+    way = cells(0.1)
+    remembered = Remembered(way & cells(0.5), way) if coasts else None
+    given_ = (labels, cells(0.1) & (labels == 0), cells(0.2), views, visible, 1, floor, remembered)
+    grid, reason = instant_map(*given_)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(mapping, "EDGE_M", 0.0)
+        plain, why = instant_map(*given_)
+    stands = np.argwhere((plain.data == OCCUPIED) | (way & coasts))  # or may stand
+    beside = np.zeros(floor.shape, bool)
+    for iy, ix in np.ndindex(floor.shape):
+        far = np.hypot(*(stands - (iy, ix)).T) * resolution
+        beside[iy, ix] = plain.data[iy, ix] == FREE and (far < EDGE_M - 1e-6).any()
+    np.testing.assert_array_equal(grid.data == OCCUPIED, plain.data == OCCUPIED)
+    np.testing.assert_array_equal(reason, np.where(beside, EDGE, why))
+    np.testing.assert_array_equal(grid.data, np.where(beside, UNKNOWN, plain.data))
+
+
+def test_an_objects_edge_is_as_wide_as_it_says() -> None:
+    floor = Floor((0.0, 1.0), (0.0, 0.02), 0.02)
+    nothing, labels = np.zeros(floor.shape, bool), np.zeros(floor.shape, np.int32)
+    labels[0, :5] = 1
+    grid, reason = instant_map(labels, nothing, labels > 0, {"a": labels > 0}, {"a": ~nothing}, 1, floor)
+    assert grid.data[0].tolist() == [OCCUPIED] * 5 + [UNKNOWN] * 5 + [FREE] * 40  # centres 2 to 10 cm away, not 12
+    assert reason[0].tolist() == [0] * 5 + [EDGE] * 5 + [0] * 40
+    assert REASONS[EDGE] == "beside an object" and EDGE == max(REASONS) == len(REASONS)
+    empty, none = instant_map(labels * 0, nothing, nothing, {"a": nothing}, {"a": ~nothing}, 1, floor)
+    assert (empty.data == FREE).all() and not none.any()
+
+
+# --- files ------------------------------------------------------------------------------------------------
 @settings(max_examples=30, deadline=None)
 @given(data=hnp.arrays(np.int8, (4, 6), elements=st.sampled_from([-1, 0, 100])))
 def test_files_read_back_equal(tmp_path_factory: pytest.TempPathFactory, data: Any) -> None:

@@ -17,6 +17,8 @@ from occlib.geometry import Floor, Rig
 from occlib.mapping import (
     BLIND,
     DISAGREE,
+    EDGE,
+    EDGE_M,
     FREE,
     NOT_SEEN,
     OCCUPIED,
@@ -162,9 +164,12 @@ def test_no_cell_of_what_coasts_or_is_seen_is_free_and_nothing_else_changes(seed
     (before, why), (grid, reason) = instant_map(*given_), instant_map(*given_, held)
     assert not (grid.data[way] == FREE).any() and (grid.data[labels > 0] == OCCUPIED).all()
     np.testing.assert_array_equal(grid.data == UNKNOWN, reason > 0)
-    np.testing.assert_array_equal(grid.data[~way], before.data[~way])
-    np.testing.assert_array_equal(reason[~way], why[~way])
-    assert (reason[way & (why > 0) & (grid.data == UNKNOWN)] == why[way & (why > 0) & (grid.data == UNKNOWN)]).all()
+    beside = (reason == EDGE) & (why != EDGE)  # floor beside what coasts is the only other that changes
+    assert FLOOR.near(way, EDGE_M)[beside].all() and not (way & beside).any() and (why[beside] == 0).all()
+    np.testing.assert_array_equal(grid.data[~way & ~beside], before.data[~way & ~beside])
+    np.testing.assert_array_equal(reason[~way & ~beside], why[~way & ~beside])
+    kept = way & (why > 0) & (why != EDGE) & (grid.data == UNKNOWN)
+    assert (reason[kept] == why[kept]).all()
     bare = np.any([visible[name] & ~views[name] for name in views], axis=0) if views else np.zeros(FLOOR.shape, bool)
     np.testing.assert_array_equal(grid.data == OCCUPIED, (labels > 0) | (held.expected & ~bare))
 
@@ -177,12 +182,12 @@ def test_what_coasts_is_occupied_where_no_view_sees_bare_floor_and_else_not_seen
     both = {"left": everywhere, "right": everywhere}
     views = {"left": left, "right": left}
     grid, reason = instant_map(NOBODY, nothing, nothing, views, both, 2, FLOOR, Remembered(expected, expected))
-    assert grid.data[4, 2:6].tolist() == [OCCUPIED, UNKNOWN, UNKNOWN, FREE]
-    assert reason[4, 1:6].tolist() == [DISAGREE, 0, NOT_SEEN, NOT_SEEN, 0]
+    assert grid.data[4, 2:7].tolist() == [OCCUPIED, UNKNOWN, UNKNOWN, UNKNOWN, FREE]
+    assert reason[4, 1:7].tolist() == [DISAGREE, 0, NOT_SEEN, NOT_SEEN, EDGE, 0]
     views = {"left": left, "right": nothing}  # one view that sees bare floor may be the one that is wrong
     grid, reason = instant_map(NOBODY, nothing, nothing, views, both, 2, FLOOR, Remembered(expected, expected))
-    assert grid.data[4, 1:6].tolist() == [FREE, UNKNOWN, UNKNOWN, UNKNOWN, FREE]
-    assert REASONS[NOT_SEEN] == "not seen now" and NOT_SEEN == max(REASONS) == len(REASONS) == 5
+    assert reason[4, :7].tolist() == [0, EDGE, NOT_SEEN, NOT_SEEN, NOT_SEEN, EDGE, 0]
+    assert REASONS[NOT_SEEN] == "not seen now"
 
 
 def test_without_any_view_what_coasts_is_occupied_and_all_else_is_blind() -> None:
@@ -236,7 +241,8 @@ def test_what_moves_on_unseen_is_looked_for_on_its_way(tiny_rig: Rig, draw: Draw
             covered = results[k].map.data[under(tiny_rig.floor, there)] != FREE
             assert covered.mean() > 0.9
     assert not (results[11].reason == NOT_SEEN).any()  # seen elsewhere: all of the way is free at once
-    behind = under(tiny_rig.floor, square(1.5, 1.5, side=0.2))
+    behind = under(tiny_rig.floor, square(1.5, 1.5, side=0.2)) & ~tiny_rig.floor.near(results[11].labels > 0, EDGE_M)
+    assert behind.sum() > 8
     assert (results[10].reason[behind] == NOT_SEEN).all() and (results[11].map.data[behind] == FREE).all()
     assert ids(results[11].objects) == [1] and results[11].coasting == []
 

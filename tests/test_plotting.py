@@ -22,8 +22,8 @@ from occlib.course.drawings import (
     outline_cylinders,
     views_and_map,
 )
-from occlib.explaining.cylinders import Cylinder
 from occlib.explaining.evidence import PolarWarp
+from occlib.explaining.prisms import Prism
 from occlib.formats import TrueObject, Truth
 from occlib.geometry import Floor, Rig
 from occlib.mapping import REASONS, OccupancyMap
@@ -398,7 +398,7 @@ def test_a_head_is_covered_and_nothing_else(tiny_rig: Rig) -> None:
 
 def test_a_cylinder_is_outlined_where_the_polar_view_shows_it(ax: Axes, tiny_rig: Rig) -> None:
     warp = PolarWarp(tiny_rig["left"], tiny_rig.floor)
-    outline_cylinders(ax, warp, [Cylinder(2.0, 1.5, 0.2, 0.5), Cylinder(-9.0, 1.5, 0.2, 0.5)], color="red")
+    outline_cylinders(ax, warp, [Prism(2.0, 1.5, 0.2, 0.5), Prism(-9.0, 1.5, 0.2, 0.5)], color="red")
     (line,) = ax.lines  # the second one lies behind the camera
     assert texts(ax) == ["1"] and line.get_color() == "red"
     columns, rows = line.get_xdata(), line.get_ydata()

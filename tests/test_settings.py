@@ -48,7 +48,8 @@ def test_rule_and_threshold_choose_the_stages() -> None:
         ({"core": 1.0}, "setting 'core': expected one of "),  # no say where objects explain silhouettes
         ({"finder.cost": "much"}, "setting 'finder.cost': expected a number, got 'much'"),
         ({"finder.cost": "nan"}, "setting 'finder.cost': expected a number, got 'nan'"),
-        ({"finder.spare": "1.5"}, "setting 'finder.spare': expected a whole number, got '1.5'"),
+        ({"finder.max_objects": "1.5"}, "setting 'finder.max_objects': expected a whole number, got '1.5'"),
+        ({"finder.spare": "1.5"}, "spare: expected a share from 0 to 1, got 1.5"),
         ({"finder.planes_m": "0,high"}, "setting 'finder.planes_m': expected numbers such as 0,0.1,0.3"),
         ({"finder.planes_m": "-1"}, "planes_m: expected metres"),
         ({"finder.planes_m": "0,nan"}, "setting 'finder.planes_m': expected numbers such as 0,0.1,0.3"),

@@ -28,7 +28,7 @@ from occlib.plotting import (
 if TYPE_CHECKING:
     import pandas as pd
 
-    from occlib.explaining import Cylinder, PolarWarp
+    from occlib.explaining import PolarWarp, Prism
     from occlib.formats import TrueObject, Truth
     from occlib.pipeline import FrameResult
 
@@ -67,7 +67,7 @@ def fill_hull(ax: Axes, points: npt.ArrayLike, **options: Any) -> FloatArray:
     return corners
 
 
-def outline_cylinders(ax: Axes, warp: PolarWarp, cylinders: Sequence[Cylinder], **options: Any) -> None:
+def outline_cylinders(ax: Axes, warp: PolarWarp, cylinders: Sequence[Prism], **options: Any) -> None:
     """Outline of each upright cylinder, with its number, in a camera's polar view."""
     from occlib.explaining import silhouette
 

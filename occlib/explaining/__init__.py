@@ -2,28 +2,33 @@
 # fmt: off
 
 from occlib.explaining.appearance import axis_colours, colour_agreement
-from occlib.explaining.cylinders import Cylinder, plausible, silhouette
 from occlib.explaining.evidence import PolarEvidence, PolarView, PolarWarp
 from occlib.explaining.explainer import Explainer, Explaining, ExplainingFinder, footprints, standing_places
 from occlib.explaining.feet import standing_points
 from occlib.explaining.hiding import occlusion_state
-from occlib.explaining.search import DEFAULT, ExplainSettings, explain
+from occlib.explaining.prisms import BOX, Prism, outline_points, parts, plausible, silhouette
+from occlib.explaining.refining import DEFAULT, ExplainSettings
+from occlib.explaining.search import Explanation, explain
 
 __all__ = [
+    "BOX",
     "DEFAULT",
-    "Cylinder",
     "ExplainSettings",
     "Explainer",
     "Explaining",
     "ExplainingFinder",
+    "Explanation",
     "PolarEvidence",
     "PolarView",
     "PolarWarp",
+    "Prism",
     "axis_colours",
     "colour_agreement",
     "explain",
     "footprints",
     "occlusion_state",
+    "outline_points",
+    "parts",
     "plausible",
     "silhouette",
     "standing_places",

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from occlib.base.arrays import FloatArray, Image, Mask, as_points
-from occlib.explaining.cylinders import Cylinder
+from occlib.explaining.prisms import Prism, outline_points
 from occlib.geometry import Rig
 from occlib.matching.search import similarity
 
@@ -24,7 +24,7 @@ SCALES = np.array([0.8, 0.9, 1.0, 1.1, 1.25])
 """Sizes tried of a template, over the height of the object's picture."""
 
 RING = 24
-"""Points on each rim of a cylinder of which its box in a picture is made."""
+"""Points on each rim of a prism of which its box in a picture is made."""
 
 
 def axis_colours(points_m: npt.ArrayLike, heights: npt.ArrayLike, images: Mapping[str, Image], rig: Rig) -> FloatArray:
@@ -109,11 +109,10 @@ def _likeness(window: Image, picture: Image, mask: Mask | None, height: int) -> 
     return best
 
 
-def _box(cylinder: Cylinder, rig: Rig, name: str) -> tuple[int, int, int, int]:
+def _box(prism: Prism, rig: Rig, name: str) -> tuple[int, int, int, int]:
     """Left, top, right and bottom of an object in a view, in whole px; it may reach beyond the picture."""
-    turn = np.linspace(0, 2 * np.pi, RING, endpoint=False)
-    ring = np.column_stack([cylinder.x + cylinder.radius * np.cos(turn), cylinder.y + cylinder.radius * np.sin(turn)])
-    points = rig[name].project(np.vstack([np.column_stack([ring, np.full(RING, z)]) for z in (0.0, cylinder.height)]))
+    ring = outline_points(prism)
+    points = rig[name].project(np.vstack([np.column_stack([ring, np.full(len(ring), z)]) for z in (0.0, prism.height)]))
     left, top = np.floor(points.min(axis=0)).astype(int).tolist()
     right, bottom = np.ceil(points.max(axis=0)).astype(int).tolist()
     return left, top, right, bottom

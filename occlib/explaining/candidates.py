@@ -1,4 +1,4 @@
-"""Where the search begins: for every place and radius the best of some heights."""
+"""Where the search begins: for every place the best of some radii and heights."""
 
 from __future__ import annotations
 
@@ -7,15 +7,18 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from occlib.base.kernels import compiled
-from occlib.explaining.cylinders import PERSON_M, edges, foot, plausible, run_between, span_of
 from occlib.explaining.evidence import view_at
 from occlib.explaining.objective import FULL, weigh_column
+from occlib.explaining.prisms import FIELDS, PERSON_M, cylinder, edges, foot, plausible_round, run_between, span_of
 
 RADII = np.array([0.06, 0.085, 0.12, 0.16, 0.21, 0.28, 0.36])
 """Radii tried at first, in m, each a third larger than the one before; the best are then refined freely."""
 
 HEIGHTS = np.array([0.04, 0.06, 0.09, 0.13, 0.18, 0.24, 0.32, 0.42, 0.55, 0.72, 0.95, 1.2, 1.45, 1.7, 1.9])
 """Heights tried at first, in m, from low to high."""
+
+FEW_RADII = RADII[::2].copy()
+"""Those tried where objects are known and little is left."""
 
 PATIENCE = 4
 """So many heights in a row that are worse than the best end the search for a better one."""
@@ -46,31 +49,37 @@ class _Disc(NamedTuple):
 
 
 @compiled
-def candidates(work: Any, sums: Any, places: Any, cost: float) -> Any:
-    """For each place and radius the best height, if any is worth its cost: cylinders (N, 4) and their values (N,).
+def candidates(work: Any, sums: Any, places: Any, cost: float, budget: int, radii: Any = RADII) -> Any:
+    """For each place the best radius and height, if any is worth its cost: cylinders (N, 10) and their values (N,).
 
     What does not depend on the height is worked out once; the values are those of :func:`occlib.explaining.objective.gain`.
     The search goes up until the most that the columns hold would no longer pay for what is covered.
     """
     most = _most(work, sums)
-    found, values, n = np.empty((len(places) * len(RADII), 4)), np.empty(len(places) * len(RADII)), 0
+    found, values, n = np.ones((len(places), FIELDS)), np.zeros(len(places)), 0
+    found[:, 4:6] = 0.0  # round, without heading
+    found[:, 9] = 0.0
     disc = _room(len(work.views), work.weights.shape[2])
     for i in range(len(places)):
-        for radius in RADII:
+        if work.spent[0] >= budget:
+            break
+        most_here = 0.0
+        for radius in radii:
             bound = _fill(work, disc, most, places[i, 0], places[i, 1], radius) * (1 + ROUNDING)
             best, worse, least = 0.0, 0, 0.0
             for height in HEIGHTS:
-                if bound <= best:
+                if bound <= best or bound <= most_here:
                     break
-                if height < least or not plausible(radius, height):
+                if height < least or not plausible_round(radius, height):
                     continue
                 value, area = _value_and_area(work, sums, disc, radius, height, cost)
                 if value > best:
-                    if best == 0.0:
-                        n += 1
                     best, worse = value, 0
-                    found[n - 1] = places[i, 0], places[i, 1], radius, height
-                    values[n - 1] = value
+                    if value > most_here:
+                        most_here = value
+                        found[n, 0], found[n, 1] = places[i, 0], places[i, 1]
+                        found[n, 2], found[n, 3] = radius, height
+                        values[n] = value
                 elif best > 0:
                     worse += 1
                     if worse >= PATIENCE:
@@ -78,6 +87,8 @@ def candidates(work: Any, sums: Any, places: Any, cost: float) -> Any:
                 # what is higher covers and costs more, unless it is a person, who may cover less
                 if bound - cost * area <= best:
                     least = PERSON_M
+        if most_here > 0.0:
+            n += 1
     return found[:n], values[:n]
 
 
@@ -114,7 +125,7 @@ def _fill(work: Any, disc: Any, most: Any, x: float, y: float, radius: float) ->
     bound = 0.0
     for k in range(len(work.views)):
         view = view_at(work.views, k)
-        span = span_of(view, work.sizes[k, 0], x, y, radius)
+        span = span_of(view, work.sizes[k, 0], cylinder(x, y, radius, 1.0))
         disc.first[k], disc.last[k] = span.first, span.last
         for column in range(span.first, span.last):
             near, far = edges(view, column, span, radius)
@@ -136,10 +147,11 @@ def _value_and_area(work: Any, sums: Any, disc: Any, radius: float, height: floa
                 view, work.sizes[k, 1], disc.near[k, column], disc.far[k, column], disc.base[k, column],
                 disc.rim[k, column], radius, height,
             )  # fmt: skip
-            weighed = weigh_column(sums, work.seen_sums, k, column, run)
+            weighed = weigh_column(sums, work.seen_sums, k, column, run, work.gloss[k])
             explained += weighed.explained
             covered += weighed.covered
             beyond += weighed.beyond
+        work.spent[0] += disc.last[k] - disc.first[k]
         total += (explained / FULL - beyond / FULL) * view.weight
         area += covered * view.weight
     return total - cost * area, area

@@ -9,9 +9,9 @@ import numpy as np
 
 from occlib.base.arrays import FloatArray
 from occlib.base.kernels import compiled
-from occlib.explaining.cylinders import PERSON_M, Cylinder, as_array, cylinder_at, plausible
 from occlib.explaining.evidence import PolarEvidence, view_at
-from occlib.explaining.objective import FULL, TINY, cover_all, gain, workspace
+from occlib.explaining.objective import ADD, FULL, TAKE, TINY, gain, put_all, workspace
+from occlib.explaining.prisms import Prism, as_array, is_person, plausible, prism_at, resized
 from occlib.explaining.search import DEFAULT, ExplainSettings
 
 FEET_M, SPREAD_M = 0.35, 0.4
@@ -47,7 +47,7 @@ MEAN_STEPS, MEAN_STEP_M, MEAN_SIZE_STEP_M = 4, 0.01, 0.015
 
 
 @compiled
-def _between_feet(view: Any, size: Any, weights: Any, x: float, y: float) -> Any:
+def _between_feet(view: Any, size: Any, sums: Any, x: float, y: float) -> Any:
     """Azimuth in rad halfway between the outer edges of the foreground around the feet, and how much it is to be trusted.
 
     That is the share of two legs that it shows, 0 to 1, and less again if it shows more than legs."""
@@ -61,7 +61,7 @@ def _between_feet(view: Any, size: Any, weights: Any, x: float, y: float) -> Any
     legs = np.zeros(max(last - first, 0))
     for column in range(first, last):
         for row in range(top, foot):
-            legs[column - first] += max(weights[row, column], 0) / FULL
+            legs[column - first] += max(sums[row + 1, column] - sums[row, column], 0) / FULL
     total, below, left, right = legs.sum(), 0.0, 0.0, 0.0
     for i in range(len(legs)):
         if legs[i] > 0:
@@ -76,79 +76,81 @@ def _between_feet(view: Any, size: Any, weights: Any, x: float, y: float) -> Any
 
 
 @compiled
-def _mean_place(work: Any, sums: Any, cylinder: Any, cost: float) -> Any:
-    """The mean of places along the sight-lines of the nearest views, weighed by how much cylinders there explain."""
-    best = max(gain(work, sums, cylinder, cost).value, TINY)
+def _mean_place(work: Any, sums: Any, prism: Any, cost: float) -> Any:
+    """The mean of places along the sight-lines of the nearest views, weighed by how much prisms there explain."""
+    best = max(gain(work, sums, prism, cost).value, TINY)
     total, x, y = 0.0, 0.0, 0.0
-    for k in np.argsort(np.hypot(cylinder.x - work.views[:, 0], cylinder.y - work.views[:, 1]))[:MEAN_VIEWS]:
+    for k in np.argsort(np.hypot(prism.x - work.views[:, 0], prism.y - work.views[:, 1]))[:MEAN_VIEWS]:
         view = view_at(work.views, k)
-        dx, dy = cylinder.x - view.x, cylinder.y - view.y
+        dx, dy = prism.x - view.x, prism.y - view.y
         distance = max(np.hypot(dx, dy), TINY)
-        slope = (view.height - cylinder.height) / distance
+        slope = (view.height - prism.height) / distance
         for step in range(-MEAN_STEPS, MEAN_STEPS + 1):
             for wider in range(-1, 2):
                 for higher in range(-1, 2):
-                    other = Cylinder(
-                        cylinder.x + MEAN_STEP_M * step * dx / distance,
-                        cylinder.y + MEAN_STEP_M * step * dy / distance,
-                        cylinder.radius + MEAN_SIZE_STEP_M * wider,
+                    other = resized(
+                        prism,
+                        prism.x + MEAN_STEP_M * step * dx / distance,
+                        prism.y + MEAN_STEP_M * step * dy / distance,
+                        prism.radius + MEAN_SIZE_STEP_M * wider,
                         # farther and lower looks the same
-                        cylinder.height + (MEAN_SIZE_STEP_M * higher - MEAN_STEP_M * step * slope),
+                        prism.height + (MEAN_SIZE_STEP_M * higher - MEAN_STEP_M * step * slope),
                     )
-                    if plausible(other.radius, other.height):
+                    if plausible(other):
                         value = gain(work, sums, other, cost).value
                         weight = np.exp(min((value / best - 1) / MEAN_SHARE, MAX_EXPONENT))
                         total, x, y = total + weight, x + weight * other.x, y + weight * other.y
     if total == 0:
-        return cylinder.x, cylinder.y
+        return prism.x, prism.y
     return x / total, y / total
 
 
 @compiled
-def _feet(work: Any, weights: Any, cylinder: Any) -> Any:
+def _feet(work: Any, sums: Any, prism: Any) -> Any:
     """The point that agrees best with a person's axis and with the bearings between the feet, within :data:`LEAN_M`.
 
     The least squares of :func:`standing_points`, by their normal equations: ``[[a, b], [b, c]] (x, y) = (u, v)``.
     """
-    x, y = cylinder.x, cylinder.y
+    x, y = prism.x, prism.y
     for _ in range(FEET_ROUNDS):
-        a, b, c, u, v = 1.0, 0.0, 1.0, cylinder.x, cylinder.y
+        a, b, c, u, v = 1.0, 0.0, 1.0, prism.x, prism.y
         for k in range(len(work.views)):
             view = view_at(work.views, k)
-            azimuth, shown = _between_feet(view, work.sizes[k], weights[k], x, y)
+            azimuth, shown = _between_feet(view, work.sizes[k], sums[k], x, y)
             p, q, trust = -np.sin(azimuth), np.cos(azimuth), FEET_TRUST * shown * shown
             off = p * view.x + q * view.y
             a, b, c = a + trust * p * p, b + trust * p * q, c + trust * q * q
             u, v = u + trust * off * p, v + trust * off * q
         x, y = (c * u - b * v) / (a * c - b * b), (a * v - b * u) / (a * c - b * b)
-    share = min(LEAN_M / max(np.hypot(x - cylinder.x, y - cylinder.y), TINY), 1.0)
-    return cylinder.x + share * (x - cylinder.x), cylinder.y + share * (y - cylinder.y)
+    share = min(LEAN_M / max(np.hypot(x - prism.x, y - prism.y), TINY), 1.0)
+    return prism.x + share * (x - prism.x), prism.y + share * (y - prism.y)
 
 
 @compiled
-def _stand(work: Any, cylinders: Any, cost: float, points: Any) -> None:
-    """Fill ``points`` (N, 2): of each cylinder, from the evidence that the others leave."""
-    for i in range(len(cylinders)):
-        cylinder = cylinder_at(cylinders, i)
-        person = cylinder.height >= PERSON_M
-        cover_all(work, work.left, work.left_sums, cylinders, len(cylinders), i, MARGIN_M if person else 0.0)
-        if person:
-            points[i] = _feet(work, work.left, cylinder)
+def _stand(work: Any, prisms: Any, cost: float, points: Any) -> None:
+    """Fill ``points`` (N, 2): of each prism, from the evidence that the others leave."""
+    for i in range(len(prisms)):
+        prism = prism_at(prisms, i)
+        cover, margin = work.scratch, MARGIN_M if is_person(prism) else 0.0
+        put_all(work, cover, prisms, len(prisms), i, margin, ADD)
+        if is_person(prism):
+            points[i] = _feet(work, cover.sums, prism)
         else:
-            points[i] = _mean_place(work, work.left_sums, cylinder, cost)
+            points[i] = _mean_place(work, cover.sums, prism, cost)
+        put_all(work, cover, prisms, len(prisms), i, margin, TAKE)
 
 
 def standing_points(
-    evidence: PolarEvidence, cylinders: Sequence[Cylinder], *, settings: ExplainSettings = DEFAULT
+    evidence: PolarEvidence, prisms: Sequence[Prism], *, settings: ExplainSettings = DEFAULT
 ) -> FloatArray:
     """Where on the floor each object stands.
 
-    The cylinder that explains most is one of many that explain nearly as much, above all where only one view sees the
+    The prism that explains most is one of many that explain nearly as much, above all where only one view sees the
     object: a little farther and lower looks the same. Its point is the mean over those within 4 cm along the
     sight-lines of the two nearest views, with weights ``exp((gain / largest - 1) / 0.02)``, other objects left as they
     are.
 
-    A person, a cylinder of 1.4 m or more, leans, and stands where the legs are: its point is the one that agrees best
+    A person, a prism of 1.4 m or more, leans, and stands where the legs are: its point is the one that agrees best
     with its axis ``p`` and with the bearing ``a_k`` halfway between its feet in each view::
 
         argmin |x - p|^2 + sum over views of 4 s_k^2 (n_k . (x - c_k))^2,    n_k = (-sin a_k, cos a_k)
@@ -160,7 +162,7 @@ def standing_points(
     ----------
     evidence
         What the views say.
-    cylinders
+    prisms
         What :func:`occlib.explaining.search.explain` found in it.
     settings
         Of which the cost counts.
@@ -174,7 +176,7 @@ def standing_points(
     ValueError
         A place or size that is not finite, or a size that is not positive.
     """
-    array = as_array(cylinders, "cylinders")
+    array = as_array(prisms, "prisms")
     points = array[:, :2].copy()
     if len(array):
         _stand(workspace(evidence), array, settings.cost, points)

@@ -10,8 +10,8 @@ import numpy.typing as npt
 
 from occlib.base.arrays import FloatArray
 from occlib.base.kernels import compiled
-from occlib.explaining.cylinders import Cylinder, as_array, cylinder_at, silhouette
 from occlib.explaining.evidence import PolarEvidence, view_at
+from occlib.explaining.prisms import Prism, as_array, prism_at, silhouette
 
 
 @compiled
@@ -29,21 +29,21 @@ def _cover_seen(seen_sums: Any, own: Any, other: Any, covered: Any) -> int:
 
 
 @compiled
-def _hidden(views: Any, sizes: Any, seen_sums: Any, cylinders: Any, fractions: Any, by: Any) -> None:
+def _hidden(views: Any, sizes: Any, seen_sums: Any, prisms: Any, fractions: Any, by: Any) -> None:
     """Fill ``fractions`` (samples that nearer silhouettes cover, over all seen) and ``by`` of :func:`occlusion_state`."""
     for k in range(len(views)):
         view = view_at(views, k)
         columns, rows = sizes[k]
-        for i in range(len(cylinders)):
-            cylinder = cylinder_at(cylinders, i)
-            own = silhouette(view, columns, rows, cylinder)
+        for i in range(len(prisms)):
+            prism = prism_at(prisms, i)
+            own = silhouette(view, columns, rows, prism)
             covered, area = np.zeros((len(own.low), rows), np.bool_), 0
             for c in range(len(own.low)):
                 area += seen_sums[k, own.high[c], own.first + c] - seen_sums[k, own.low[c], own.first + c]
-            distance = np.hypot(cylinder.x - view.x, cylinder.y - view.y)
+            distance = np.hypot(prism.x - view.x, prism.y - view.y)
             most = 0
-            for j in range(len(cylinders)):
-                other = cylinder_at(cylinders, j)
+            for j in range(len(prisms)):
+                other = prism_at(prisms, j)
                 if j != i and np.hypot(other.x - view.x, other.y - view.y) < distance:
                     shared = _cover_seen(seen_sums[k], own, silhouette(view, columns, rows, other), covered)
                     if shared > most:
@@ -51,14 +51,14 @@ def _hidden(views: Any, sizes: Any, seen_sums: Any, cylinders: Any, fractions: A
             fractions[i, k] = covered.sum() / area if area else np.nan
 
 
-def occlusion_state(evidence: PolarEvidence, cylinders: Sequence[Cylinder]) -> tuple[FloatArray, npt.NDArray[np.int64]]:
+def occlusion_state(evidence: PolarEvidence, prisms: Sequence[Prism]) -> tuple[FloatArray, npt.NDArray[np.int64]]:
     """How much of each object nearer objects hide from each camera, from geometry alone.
 
     Parameters
     ----------
     evidence
         Of which only the views and the samples seen count.
-    cylinders
+    prisms
         The N objects.
 
     Returns
@@ -73,7 +73,7 @@ def occlusion_state(evidence: PolarEvidence, cylinders: Sequence[Cylinder]) -> t
     ValueError
         A place or size that is not finite, or a size that is not positive.
     """
-    array = as_array(cylinders, "cylinders")
+    array = as_array(prisms, "prisms")
     fractions = np.zeros((len(array), len(evidence.views)))
     by = np.full(fractions.shape, -1, np.int64)
     if len(array):

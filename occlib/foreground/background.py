@@ -18,6 +18,7 @@ from occlib.base import checks
 from occlib.base.arrays import Image
 from occlib.base.files import write_file
 from occlib.foreground.intensity import _checked, to_grey
+from occlib.foreground.reference import Reference, reference_of
 
 LEAST_NOISE_FLOOR = 8.0
 """Grey levels below which a difference is never called foreground: sensor noise and JPEG blocks."""
@@ -61,17 +62,27 @@ class Background:
         return to_grey(self.image)
 
     @cached_property
-    def soft(self) -> tuple[Float32Array, Float32Array, float]:
-        """What :func:`foreground_evidence` needs: the image smoothed over 3 px, float32 (H, W, 3), its standard deviation within
-        5 px, float32 (H, W), and the noise floor of a smoothed pixel in grey levels."""
-        image = self.image.astype(np.float32)
-        mean = cv2.blur(image, (5, 5))
-        texture = np.sqrt(np.maximum(cv2.blur(image * image, (5, 5)) - mean * mean, 0)).max(axis=2)
-        return (
-            np.asarray(cv2.GaussianBlur(image, (3, 3), 0), np.float32),
-            np.asarray(texture, np.float32),
-            3.0 * self.noise,
-        )
+    def reference(self) -> Reference:
+        """What frames are compared with by :func:`foreground_evidence`, made once."""
+        return reference_of(self.image, self.noise, self.spread)
+
+    @cached_property
+    def _moved(self) -> dict[tuple[float, float], Background]:
+        return {}
+
+    def moved(self, x: float, y: float) -> Background:
+        """The background as the camera sees it that has been bumped by so many px; the last few are kept."""
+        if (x, y) not in self._moved:
+            while len(self._moved) >= 4:
+                del self._moved[next(iter(self._moved))]
+            by, size = np.array([[1.0, 0.0, x], [0.0, 1.0, y]]), self.image.shape[1::-1]
+
+            def moved(picture: Image) -> Image:
+                return np.asarray(cv2.warpAffine(picture, by, size, borderMode=cv2.BORDER_REPLICATE))
+
+            spread = None if self.spread is None else moved(self.spread)
+            self._moved[x, y] = Background(moved(self.image), self.noise, spread)
+        return self._moved[x, y]
 
     def save(self, path: str | Path) -> Path:
         """Write as ``.npz``; :meth:`load` reads it back equal."""

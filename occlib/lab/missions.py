@@ -29,7 +29,7 @@ from tqdm import tqdm
 from occlib.base.arrays import FloatArray, Mask
 from occlib.base.extras import pandas as pd
 from occlib.base.intervals import t_interval
-from occlib.explaining import Cylinder, Explainer, footprints
+from occlib.explaining import Explainer, Explanation, footprints
 from occlib.geometry import Floor
 from occlib.lab.crowds import base_m, random_crowd, upright, wall_rig
 from occlib.lab.scenes import SceneObject
@@ -234,7 +234,7 @@ class _Station:
         self.simulation = Simulation(self.rig)
         self.explainer = Explainer(self.rig, self.simulation.settings)
         self.everywhere = np.ones(MISSION_FLOOR.shape, bool)
-        self.cylinders: list[Cylinder] = []
+        self.explanation: Explanation | None = None
 
     def masks(self, crowd: Sequence[SceneObject]) -> dict[str, Mask]:
         return union(self.simulation.silhouettes(crowd))
@@ -248,8 +248,8 @@ class _Station:
         else:
             occupied = self.simulation.occupied(masks, "and")
         if kind.startswith("explain"):
-            self.cylinders = self.explainer.explain(evidence_of(masks), self.cylinders)
-            known, occupied = ~occupied, footprints(self.cylinders, occupied, MISSION_FLOOR) > 0
+            self.explanation = self.explainer.explain(evidence_of(masks), self.explanation)
+            known, occupied = ~occupied, footprints(self.explanation.prisms, occupied, MISSION_FLOOR) > 0
         return occupancy_map(occupied, known, MISSION_FLOOR).data
 
 
@@ -277,7 +277,7 @@ def _drive(
     names, daring = list(range(len(mission.starts))), kind.endswith("unknown free")
     for k in names:
         robots[k].ask({"goal": mission.goals[k], "unknown_free": daring})
-    station.cylinders = []
+    station.explanation = None
     outlines = [each.footprint(0) for each in mission.obstacles]
     still, under = station.masks(mission.obstacles), _footprints(mission.obstacles)
     plans: list[dict[str, Any]] = [{"trajectory": [(0.0, *at)], "arrived": False} for at in mission.starts]

@@ -85,7 +85,9 @@ class Simulation:
 
     @cached_property
     def _explainers(self) -> dict[str, Explainer]:
-        return {name: Explainer(self.rig, replace(self.settings, spare=spare)) for spare, name in enumerate(EXPLAIN)}
+        search = self.settings.search
+        spares = enumerate(EXPLAIN)
+        return {n: Explainer(self.rig, replace(self.settings, search=search._replace(spare=k / 3))) for k, n in spares}
 
     def silhouettes(self, crowd: Sequence[SceneObject]) -> dict[str, Mask]:
         """Each object's silhouette as if it were alone, ``{camera: bool (n, H, W)}``."""
@@ -153,7 +155,7 @@ class Simulation:
     def places(self, masks: Mapping[str, Mask], rule: str = "and") -> FloatArray:
         """Where a rule puts objects, (N, 2) in m: centroids of its regions, or axes of the explaining cylinders."""
         if rule in EXPLAIN:
-            return as_points([(c.x, c.y) for c in self._explainers[rule].explain(evidence_of(masks))])
+            return as_points([(c.x, c.y) for c in self._explainers[rule].explain(evidence_of(masks)).prisms])
         return region_places(self.occupied(masks, rule), self.rig.floor)
 
     def cost_ms(self, masks: Sequence[Mapping[str, Mask]], rule: str, *, repeats: int = 3) -> float:

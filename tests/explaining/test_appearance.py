@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from occlib.explaining.appearance import _box, _likeness, axis_colours, colour_agreement
-from occlib.explaining.cylinders import Cylinder
+from occlib.explaining.prisms import Prism
 from occlib.geometry import Rig
 from occlib.identification import opaque_part, read_templates
 from occlib.lab import wall_rig
@@ -44,7 +44,7 @@ def test_of_several_views_the_two_that_differ_most_count() -> None:
 
 
 def test_the_box_holds_the_cylinder_and_is_no_larger(tiny_rig: Rig) -> None:
-    cylinder = Cylinder(2.0, 1.5, 0.2, 0.5)
+    cylinder = Prism(2.0, 1.5, 0.2, 0.5)
     left, top, right, bottom = _box(cylinder, tiny_rig, "left")
     turn = np.linspace(0, 2 * np.pi, 200)
     ring = np.column_stack([2.0 + 0.2 * np.cos(turn), 1.5 + 0.2 * np.sin(turn)])

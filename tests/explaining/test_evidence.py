@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from helpers.cylinders import LEFT_RIGHT, seen_from, watch
+from helpers.prisms import LEFT_RIGHT, seen_from, watch
 from occlib.explaining.evidence import PolarEvidence, PolarView, running_sums, view_at
 
 

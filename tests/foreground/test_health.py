@@ -148,6 +148,55 @@ def test_a_camera_that_trembles_is_usable(shift: tuple[int, int]) -> None:
             assert verdict(np.roll(room, shift, (0, 1)), room) == "", (recording.path.name, name)
 
 
+@pytest.mark.parametrize("shift", [(6, 0), (0, 6), (6, 6), (-6, 4), (10, -8)])
+def test_a_camera_that_was_bumped_is_usable_and_a_cover_stays_one(shift: tuple[int, int]) -> None:
+    rng = np.random.default_rng(15)
+    for name, room in ROOMS.items():
+        assert verdict(noisy(lit(np.roll(room, shift[::-1], (0, 1)), 0.9, 5), rng), room) == "", name
+        assert verdict(noisy(np.full_like(room, 120), rng), room) == "covered"
+        other = ROOMS[VIEWS[VIEWS.index(name) - 1]]  # turned away: no shift makes it the same
+        assert verdict(noisy(other, rng), room) == "covered", name
+
+
+# --- light -------------------------------------------------------------------------------------------
+def sun(shape: tuple[int, ...], period: int) -> Array:
+    """Gains of stripes of sun that falls through a blind."""
+    y, x = np.mgrid[: shape[0], : shape[1]]
+    return np.where((x + 0.4 * y) % period < 0.5 * period, 1.8, 1.0)[..., None]
+
+
+def coloured_spots(shape: tuple[int, ...], count: int, rng: np.random.Generator) -> Array:
+    """Gains of spotlights of many colours, all over the room."""
+    gains, (y, x) = np.ones(shape), np.mgrid[: shape[0], : shape[1]]
+    for _ in range(count):
+        row, column, radius = rng.uniform(0, shape[0]), rng.uniform(0, shape[1]), rng.uniform(40, 90)
+        gains[np.hypot(y - row, x - column) < radius] *= rng.uniform(0.4, 2.2, 3)
+    return gains
+
+
+@pytest.mark.parametrize("view", VIEWS)
+def test_stripes_of_sun_and_coloured_spots_are_light_that_nothing_explains(view: str) -> None:
+    rng, room = np.random.default_rng(16), ROOMS[view]
+    for gains in (sun(room.shape, 80), sun(room.shape, 120), coloured_spots(room.shape, 60, rng)):
+        assert verdict(noisy(np.clip(room * gains, 0, 255), rng), room) == "light"
+
+
+@pytest.mark.parametrize("view", VIEWS)
+def test_light_that_varies_slowly_a_lamp_and_a_shaded_patch_are_explained(view: str) -> None:
+    rng, room = np.random.default_rng(17), ROOMS[view]
+    y, x = (np.linspace(-1, 1, side) for side in room.shape[:2])
+    lamp, patch = np.ones(room.shape[:2]), np.ones(room.shape[:2])
+    lamp[:, 330:], patch[200:400, 200:450] = 1.4, 0.5
+    surface = 1 + 0.2 * x[None] - 0.2 * y[:, None] + 0.1 * x[None] * y[:, None]
+    fields = {"lamp": lamp, "patch": patch, "surface": surface} | {
+        f"gain {g}": g * np.ones_like(lamp) for g in (0.6, 1.0, 1.5)
+    }
+    for name, gains in fields.items():
+        assert verdict(noisy(np.clip(room * gains[..., None], 0, 255), rng), room) == "", name
+    for offset in (-30, 30):
+        assert verdict(noisy(lit(room, 1.0, offset), rng), room) == ""
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("size", [(640, 480), (1288, 728), (320, 240), (160, 120), (90, 300), (64, 48)])
 def test_any_size_of_picture(size: tuple[int, int]) -> None:
@@ -314,6 +363,7 @@ CASES: dict[str, tuple[Callable[[Array], Array | None], int]] = {
     "black": (lambda image: np.zeros_like(image), 0),
     "covered": (lambda image: np.full_like(image, 128), 0),
     "frozen": (lambda image: image.copy(), 2),
+    "light": (lambda image: np.clip(image * sun(image.shape, 80), 0, 255).astype(np.uint8), 0),
 }
 
 

@@ -59,7 +59,7 @@ def test_a_threshold_of_127_finds_what_its_neighbours_find() -> None:
     (_, images), *_ = recording.images([10])
     found = []
     for threshold in (126.0, 127.0, 128.0):
-        settings = settings_for(threshold=threshold)
+        settings = settings_for("and", threshold=threshold)
         found.append(Pipeline(recording.rig, backgrounds, settings).process(images, 0.0).objects)
     areas = [sum(one.area_m2 for one in objects) for objects in found]
     assert len({len(objects) for objects in found}) == 1

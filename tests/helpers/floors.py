@@ -33,3 +33,12 @@ def noisy(image: Pixels, sigma: float, rng: np.random.Generator) -> Pixels:
 
 def large_floor() -> Pixels:
     return as_uint8(cv2.resize(textured_floor(), (320, 240), interpolation=cv2.INTER_CUBIC))
+
+
+def tiles(shape: tuple[int, int] = (240, 320), grain: float = 6.0, level: float = 130.0, seed: int = 0) -> Pixels:
+    """A floor of speckled tiles with dark joints, and some shading: plenty of texture."""
+    rng = np.random.default_rng(seed)
+    floor = np.full(shape, level) + cv2.GaussianBlur(rng.normal(0, 2.5 * grain, shape), (0, 0), 1.2)
+    floor[::40], floor[:, ::40] = 0.6 * level, 0.6 * level
+    shade = np.linspace(0.85, 1.1, shape[1])[None, :, None] * np.array([1.03, 1.0, 0.94])
+    return as_uint8(cv2.GaussianBlur(floor, (0, 0), 0.7)[..., None] * shade)

@@ -34,6 +34,7 @@ from occlib.study.rooms import (
     stale_page,
 )
 from occlib.study.rooms import __main__ as command
+from occlib.study.rooms.page import _conditions
 from occlib.study.rooms.scoring import _backgrounds, _frames, _Run
 
 DOCS = Path(__file__).parents[2] / "docs"
@@ -91,7 +92,7 @@ def test_what_is_counted_in_a_row(tiny_rig: Rig) -> None:
     grid[20, 27] = 0
 
     def thing(id: int, x: float, y: float) -> Any:
-        return SimpleNamespace(id=id, x=x, y=y, hidden_in=())
+        return SimpleNamespace(id=id, x=x, y=y, position_m=(x, y), hidden_in=())
 
     objects = [
         [thing(1, 1.15, 1.2), thing(2, 3.0, 2.1), thing(3, 0.3, 2.7)],
@@ -393,3 +394,11 @@ def test_a_part_of_it_is_printed_only(
     with pytest.raises(SystemExit, match="rooms: attic: no such recording"):
         run_command("attic", "--out", tmp_path / "out", "--docs", docs)
     assert json.loads((tmp_path / "out/manifest.json").read_text())["methods"]
+
+
+def test_rooms_that_nothing_was_chosen_on_have_a_row_of_their_own() -> None:
+    rooms = [f"room_{REPORTED[0]}", f"room_{DEVELOPMENT[0]}"]
+    group = pd.DataFrame({"recording": rooms, "kind": "room", "objects": 3, "gloss": "dull"})
+    rows = dict(_conditions(group))
+    assert list(rows["random rooms that nothing was chosen on"]["recording"]) == rooms[:1]
+    assert len(rows["random rooms"]) == 2

@@ -233,5 +233,5 @@ def _explained(
     for camera in cameras:
         silhouettes = _shadows(camera, objects, crowd, around) & seen_cells(camera, around)
         evidence[camera["name"]] = Evidence.of_mask(np.ascontiguousarray(silhouettes[::-1]))
-    found = Explainer(rig).explain(evidence)
+    found = Explainer(rig).explain(evidence).prisms
     return [(round(c.x, 3), round(c.y, 3), round(c.radius, 3), round(c.height, 3)) for c in found]

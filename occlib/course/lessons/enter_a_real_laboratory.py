@@ -19,7 +19,7 @@ from occlib import floor_marks, foreground, metrics, plotting
 from occlib.base.arrays import FloatArray, Image, Mask
 from occlib.base.extras import pandas as pd
 from occlib.course.drawings import cover_heads, outline_cylinders
-from occlib.explaining import Cylinder, PolarWarp
+from occlib.explaining import PolarWarp, Prism
 from occlib.foreground import Background
 from occlib.formats import TrueObject, Truth
 from occlib.geometry import Camera, Floor, Rig
@@ -225,7 +225,7 @@ def show_planes(
 
 def show_polar(
     images: Mapping[str, Image], weights: npt.NDArray[Any], warps: Mapping[str, PolarWarp],
-    cylinders: Sequence[Cylinder], rig: Rig, truth: Truth, frame: int,
+    cylinders: Sequence[Prism], rig: Rig, truth: Truth, frame: int,
 ) -> Figure:  # fmt: skip
     """Each camera's polar view with covered heads, and its evidence, with the cylinders that explain both."""
     colours = plotting.camera_colours(list(rig.cameras))

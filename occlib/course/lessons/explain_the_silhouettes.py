@@ -224,25 +224,36 @@ def riddle() -> tuple[Mask, Mask]:
     return cast(world)
 
 
-def as_objects(cylinders: Iterable[explaining.Cylinder]) -> list[lab.SceneObject]:
-    """Cylinders of an explanation as objects that cast shadows."""
-    return [lab.upright("cylinder", (c.x, c.y), 2 * c.radius, c.height, name=str(i)) for i, c in enumerate(cylinders)]
+def as_objects(prisms: Iterable[explaining.Prism]) -> list[lab.SceneObject]:
+    """What an explanation found, as objects that cast shadows."""
+    objects = []
+    for number, prism in enumerate(prisms):
+        shape = "box" if prism.outline == explaining.BOX else "cylinder"
+        for name, part in zip("ab", explaining.parts(prism), strict=False):
+            size = (2 * part.radius, 2 * part.half_width)
+            heading = float(np.degrees(part.heading))
+            objects.append(
+                lab.upright(shape, (part.x, part.y), size, part.height, heading=heading, name=f"{number}{name}")
+            )
+    return objects
 
 
 def search_steps(
     simulation: lab.Simulation, masks: Mapping[str, Mask], counts: Sequence[int]
-) -> dict[int, list[explaining.Cylinder]]:
+) -> dict[int, list[explaining.Prism]]:
     """What the search finds when it may use no more than so many objects."""
     explainer = explaining.Explainer(simulation.rig, simulation.settings)
     evidence = lab.evidence_of(masks)
     polar, places, search = explainer.polar(evidence), explainer.places(evidence), simulation.settings.search
-    return {count: explaining.explain(polar, places, settings=search._replace(max_objects=count)) for count in counts}
+    return {
+        count: explaining.explain(polar, places, settings=search._replace(max_objects=count)).prisms for count in counts
+    }
 
 
 def explained_share(
     simulation: lab.Simulation,
     masks: Mapping[str, Mask],
-    steps: Mapping[int, Sequence[explaining.Cylinder]],
+    steps: Mapping[int, Sequence[explaining.Prism]],
     crowd: Crowd,
 ) -> pd.DataFrame:
     """For each step of :func:`search_steps`: how much foreground is explained, and how far the places are off.
@@ -251,12 +262,12 @@ def explained_share(
     """
     rows, truth = {}, lab.places_m(crowd)
     total = sum(int(mask.sum()) for mask in masks.values())
-    for count, cylinders in steps.items():
-        told = simulation.masks(as_objects(cylinders))
-        places = np.array([(c.x, c.y) for c in cylinders]).reshape(-1, 2)
+    for count, prisms in steps.items():
+        told = simulation.masks(as_objects(prisms))
+        places = np.array([(p.x, p.y) for p in prisms]).reshape(-1, 2)
         nearest = np.linalg.norm(places[:, None] - truth, axis=2).min(axis=1)
         rows[count] = {
-            "objects found": len(cylinders),
+            "objects found": len(prisms),
             "explained": sum(int((told[n] & masks[n]).sum()) for n in masks) / total,
             "background covered": sum(int((told[n] & ~masks[n]).sum()) for n in masks) / total,
             "farthest from an object (cm)": 100 * float(nearest.max()),
@@ -267,27 +278,25 @@ def explained_share(
 def search_figure(
     simulation: lab.Simulation,
     masks: Mapping[str, Mask],
-    steps: Mapping[int, Sequence[explaining.Cylinder]],
+    steps: Mapping[int, Sequence[explaining.Prism]],
     crowd: Crowd,
 ) -> Figure:
-    """For each step: one view's foreground, explained or not, and the AND map with the cylinders found so far."""
+    """For each step: one view's foreground, explained or not, and the AND map with what is found so far."""
     fig, axes = plotting.new_figure(len(steps), 2, width=10, height=4.2)
     name = next(iter(masks))
     rows, columns = (np.flatnonzero(masks[name].any(axis=axis)) for axis in (1, 0))
-    for (top, below), (count, cylinders) in zip(axes.T, steps.items(), strict=True):
-        told = simulation.masks(as_objects(cylinders))[name]
+    for (top, below), (count, prisms) in zip(axes.T, steps.items(), strict=True):
+        told = simulation.masks(as_objects(prisms))[name]
         canvas = np.full((*masks[name].shape, 3), 255, np.uint8)
         canvas[masks[name]] = (213, 94, 0)
         canvas[masks[name] & told] = (150, 190, 220)
         plotting.show_image(top, canvas)
-        top.set_title("1 object" if count == 1 else f"{len(cylinders)} objects", fontsize=12)
+        top.set_title("1 object" if count == 1 else f"{len(prisms)} objects", fontsize=12)
         top.set(ylim=(rows.max() + 9, rows.min() - 9), xlim=(columns.min() - 9, columns.max() + 9), aspect="auto")
         plotting.show_floor(below, simulation.occupied(masks), simulation.rig.floor)
         _outline(below, lab.crossings(simulation.rig, crowd).values())
-        for cylinder in cylinders:
-            around = np.linspace(0, 2 * np.pi, 60)
-            x, y = cylinder.x + cylinder.radius * np.cos(around), cylinder.y + cylinder.radius * np.sin(around)
-            below.fill(x, y, facecolor="none", edgecolor="#56B4E9", linewidth=3)
+        for prism in prisms:
+            below.fill(*explaining.outline_points(prism).T, facecolor="none", edgecolor="#56B4E9", linewidth=3)
         below.set_ylabel("")
     axes[0, 0].set_ylabel(f"{name} view")
     axes[1, 0].set_ylabel("y (m)")

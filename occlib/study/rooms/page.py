@@ -8,6 +8,7 @@ from typing import Any
 from occlib.base.extras import pandas as pd
 from occlib.base.files import read_text, write_file
 from occlib.base.markdown import END, table_text, with_block
+from occlib.lab import REPORTED
 from occlib.study.rooms.lighting import LIGHTS
 from occlib.study.rooms.tables import kinds_of, load_table
 
@@ -108,6 +109,8 @@ def _conditions(group: pd.DataFrame) -> list[tuple[str, pd.DataFrame]]:
     """The cases of a number of cameras by kind, number of objects, and gloss of the floor; without empty ones."""
     found = [("all", group)]
     found += [(title, group[group["kind"] == kind]) for kind, title in _KINDS.items()]
+    reported = group["recording"].isin({f"room_{seed}" for seed in REPORTED})
+    found.append(("random rooms that nothing was chosen on", group[reported]))
     rendered = group[group["kind"] != "real"]
     found += [
         (f"rendered, {title} objects", rendered[rendered["objects"].between(least, most)])
