@@ -158,6 +158,12 @@ def _better_shape(work: Any, sums: Any, prism: Any, settings: Any, tables: bool)
 
 
 @compiled
+def _gap_m(prisms: Any, i: int, j: int) -> float:
+    """Distance between two outlines, taken for circles, in m."""
+    return np.hypot(prisms[i, 0] - prisms[j, 0], prisms[i, 1] - prisms[j, 1]) - prisms[i, 2] - prisms[j, 2]
+
+
+@compiled
 def _neighbours(prisms: Any, count: int, first: int, members: Any) -> int:
     """Mark in ``members`` what is linked to a prism by gaps of at most :data:`CLOSE_M`; returns their number."""
     members[:] = False
@@ -169,8 +175,7 @@ def _neighbours(prisms: Any, count: int, first: int, members: Any) -> int:
             if members[i]:
                 continue
             for j in range(count):
-                gap = np.hypot(prisms[i, 0] - prisms[j, 0], prisms[i, 1] - prisms[j, 1]) - prisms[i, 2] - prisms[j, 2]
-                if members[j] and gap <= CLOSE_M:
+                if members[j] and _gap_m(prisms, i, j) <= CLOSE_M:
                     members[i], grown = True, True
                     found += 1
                     break
@@ -181,13 +186,13 @@ def _neighbours(prisms: Any, count: int, first: int, members: Any) -> int:
 def _around(prisms: Any, members: Any, count: int, box: bool) -> Any:
     """One prism of the extent of several: their moments as those of discs."""
     area, x, y = 0.0, 0.0, 0.0
-    tallest, widest, low = 0.0, 0.0, 0.0
+    tallest, low = 0.0, 0.0
     for j in range(count):
         if members[j]:
             own = prisms[j, 2] ** 2
             area, x, y = area + own, x + own * prisms[j, 0], y + own * prisms[j, 1]
             low += own * prisms[j, 3]
-            tallest, widest = max(tallest, prisms[j, 3]), max(widest, prisms[j, 2])
+            tallest = max(tallest, prisms[j, 3])
     x, y = x / area, y / area
     xx, xy, yy = 0.0, 0.0, 0.0
     for j in range(count):
@@ -257,8 +262,7 @@ def _merged(work: Any, prisms: Any, count: int, settings: Any) -> int:
             pair = np.zeros(len(prisms), np.bool_)
             for i in range(count):
                 for j in range(i):
-                    gap = np.hypot(prisms[i, 0] - prisms[j, 0], prisms[i, 1] - prisms[j, 1])
-                    if members[i] and members[j] and gap - prisms[i, 2] - prisms[j, 2] <= CLOSE_M and n == count:
+                    if members[i] and members[j] and _gap_m(prisms, i, j) <= CLOSE_M and n == count:
                         pair[:] = False
                         pair[i], pair[j] = True, True
                         n = _one_instead(work, prisms, count, pair, settings)

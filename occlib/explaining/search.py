@@ -99,14 +99,21 @@ def _settle(work: Any, prisms: Any, count: int, settings: Any, step: float) -> i
         put(work, cover, prism_at(prisms, k), 0.0, TAKE)
         prisms[k] = refined(work, cover.sums, prism_at(prisms, k), settings.cost, step)
         put(work, cover, prism_at(prisms, k), 0.0, ADD)
-    return _without_needless(work, prisms, count, settings)
+    return _without_needless(work, cover, prisms, count, settings)
 
 
 @compiled
-def _without_needless(work: Any, prisms: Any, count: int, settings: Any) -> int:
-    """Drop, the weakest first, the prisms that the others explain as well; returns the new count."""
+def _in_other_shapes(work: Any, prisms: Any, count: int, settings: Any, well: float) -> int:
+    """Give them other shapes (:func:`reshaped`), then drop what the others explain as well; returns the new count."""
+    count = reshaped(work, prisms, count, settings, well)
     cover = uncovered(work)
     put_all(work, cover, prisms, count, NOBODY, 0.0, ADD)
+    return _without_needless(work, cover, prisms, count, settings)
+
+
+@compiled
+def _without_needless(work: Any, cover: Any, prisms: Any, count: int, settings: Any) -> int:
+    """Drop, the weakest first, the prisms that the others explain as well, also from their cover; returns the new count."""
     while count:
         worst, least = -1, np.inf
         for k in range(count):
@@ -136,7 +143,7 @@ def _continued(work: Any, places: Any, prisms: Any, count: int, settings: Any) -
     count = _fill_up(work, tried, values, prisms, count, settings)
     if count > known:
         count = _settle(work, prisms, count, settings, COARSE_STEP_M)
-    count = _without_needless(work, prisms, reshaped(work, prisms, count, settings, STILL_WELL_SHAPED), settings)
+    count = _in_other_shapes(work, prisms, count, settings, STILL_WELL_SHAPED)
     value = objective(work, prisms, count, settings.cost)
     cover = uncovered(work)
     put_all(work, cover, prisms, count, NOBODY, settings.margin_m, ADD)
@@ -172,7 +179,7 @@ def _replaced(work: Any, tried: Any, best: Any, count: int, total: float, chosen
         n = _settle(work, prisms, n, settings, COARSE_STEP_M)
         value = objective(work, prisms, n, settings.cost)
         if value > total + RISE:
-            n = _without_needless(work, prisms, reshaped(work, prisms, n, settings, WELL_SHAPED), settings)
+            n = _in_other_shapes(work, prisms, n, settings, WELL_SHAPED)
             return prisms, n, objective(work, prisms, n, settings.cost)
     return best, count, total
 
@@ -194,7 +201,7 @@ def _solve(work: Any, places: Any, previous: Any, expected: float, settings: Any
     tried, values = candidates(work, work.sums, places, settings.cost, settings.budget, RADII)
     prisms = np.zeros_like(best)
     count = _settle(work, prisms, _fill_up(work, tried, values, prisms, NONE, settings), settings, COARSE_STEP_M)
-    count = _without_needless(work, prisms, reshaped(work, prisms, count, settings, WELL_SHAPED), settings)
+    count = _in_other_shapes(work, prisms, count, settings, WELL_SHAPED)
     value = objective(work, prisms, count, settings.cost)
     if value > total:
         best, n, total = prisms, count, value

@@ -14,13 +14,10 @@ import numpy.typing as npt
 
 from occlib.base import checks
 from occlib.base.arrays import Image, Mask
-from occlib.foreground.alignment import shift_between
 from occlib.foreground.background import Background, as_background
 from occlib.foreground.intensity import to_grey
-from occlib.foreground.light import block_means, fit_light
 from occlib.foreground.pictures import picture_of
 from occlib.foreground.reference import reference_of
-from occlib.foreground.texture import products_of
 from occlib.recordings import check_size
 
 SAMPLES = (80, 60)
@@ -221,14 +218,11 @@ class _View:
 
     def _shift(self, image: Image) -> tuple[float, float]:
         """By how many px the camera was bumped."""
-        reference = self._background.reference
-        return shift_between(reference.picture.grey, picture_of(image).grey, reference.points)
+        return self._background.reference.shift(picture_of(image))
 
     def _unexplained(self, sample: Image) -> float:
         """Of the blocks that are floor by their texture, the share whose light is not known."""
-        frame, reference = picture_of(sample), self._reference
-        products = products_of(frame, reference.picture)
-        light = fit_light(block_means(frame.half, reference.cell), reference.blocks, products, reference.cell)
+        _, light = self._reference.light(picture_of(sample))
         return float((light.floor & ~light.known).sum() / max(light.floor.sum(), LEAST_FLOOR * light.floor.size))
 
     def _steps(self, grey: Image) -> npt.NDArray[np.int16]:

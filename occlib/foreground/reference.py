@@ -9,9 +9,10 @@ import numpy as np
 import numpy.typing as npt
 
 from occlib.base.arrays import Image
-from occlib.foreground.alignment import edge_points
-from occlib.foreground.light import block_means, block_size
+from occlib.foreground.alignment import edge_points, shift_between
+from occlib.foreground.light import Light, block_means, block_size, fit_light
 from occlib.foreground.pictures import Picture, picture_of, reduced
+from occlib.foreground.texture import Products, products_of
 
 Float32Array = npt.NDArray[np.float32]
 
@@ -45,6 +46,15 @@ class Reference(NamedTuple):
     cell: int
     blocks: Float32Array
     points: npt.NDArray[np.int32]
+
+    def shift(self, frame: Picture) -> tuple[float, float]:
+        """By how many px (x, y) the camera was bumped since: see :func:`~occlib.foreground.alignment.shift_between`."""
+        return shift_between(self.picture.grey, frame.grey, self.points)
+
+    def light(self, frame: Picture) -> tuple[Products, Light]:
+        """The products of a frame's gradients and the background's, and the frame's light."""
+        products = products_of(frame, self.picture)
+        return products, fit_light(block_means(frame.half, self.cell), self.blocks, products, self.cell)
 
 
 def reference_of(image: Image, noise: float, spread: Float32Array | None) -> Reference:

@@ -33,13 +33,11 @@ import numpy as np
 from occlib.base import checks
 from occlib.base.arrays import Image
 from occlib.base.kernels import compiled
-from occlib.foreground.alignment import shift_between
 from occlib.foreground.background import Background
 from occlib.foreground.evidence import Evidence
 from occlib.foreground.guided import follow_edges
-from occlib.foreground.light import block_means, fit_light
 from occlib.foreground.pictures import CLIPPED, halved, picture_of
-from occlib.foreground.texture import CERTAIN, products_of, texture_log_odds
+from occlib.foreground.texture import CERTAIN, texture_log_odds
 from occlib.foreground.uncovered import uncovered_floor
 
 SURE = 128
@@ -122,10 +120,9 @@ def foreground_evidence(image: Image, background: Background, *, shadows: Shadow
     if image.shape != background.image.shape or image.dtype != np.uint8:
         raise ValueError(f"image: expected uint8 {background.image.shape}, got {image.dtype} {image.shape}")
     frame, reference = picture_of(image), background.reference
-    if any(shift := shift_between(reference.picture.grey, frame.grey, reference.points)):
+    if any(shift := reference.shift(frame)):
         reference = background.moved(*shift).reference
-    products, cell = products_of(frame, reference.picture), reference.cell
-    light = fit_light(block_means(frame.half, cell), reference.blocks, products, cell)
+    (products, light), cell = reference.light(frame), reference.cell
     gain, offset = light.gain.mean(axis=2), float(light.offset.mean())
     texture = texture_log_odds(frame, reference.picture, products, gain, offset, light.jump, light.noise, cell)
     evidence, change = (np.zeros(frame.image.shape[:2], np.uint8) for _ in range(2))

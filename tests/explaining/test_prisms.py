@@ -43,6 +43,7 @@ from occlib.explaining.prisms import (
     larger,
     outline_edges,
     outline_points,
+    parts,
     plausible,
     prism_at,
     reach,
@@ -462,3 +463,19 @@ def test_what_is_no_prism_is_named(changes: dict[str, float]) -> None:
     good = Prism(0, 0, 0.2, 0.4)
     with pytest.raises(ValueError, match="those: expected finite places, sizes > 0 and a known outline, got"):
         as_array([good, good._replace(**changes)], "those")
+
+
+@pytest.mark.parametrize(
+    "prism",
+    [
+        Prism(-1.5, 0.2, 0.3, 0.6),
+        Prism(-1.5, 0.2, 0.3, 0.9, waist=0.5, upper=0.4),
+        Prism(-1.5, 0.2, 0.3, 0.9, BOX, 0.7, 0.6, waist=0.4, upper=0.4, lean=-1.0),
+        Prism(-1.5, 0.2, 0.4, 0.6, BOX, 0.7, 0.6, waist=0.9, upper=1.0),
+    ],
+)
+def test_the_parts_of_a_prism_have_its_silhouette(prism: Prism) -> None:
+    at = watch()
+    masks = [run_masks(at, part) for part in parts(prism)]
+    assert len(masks) == (2 if prism.upper < 1 else 1)
+    assert (np.logical_or.reduce(masks) == run_masks(at, prism)).all()

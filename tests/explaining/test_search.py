@@ -25,7 +25,7 @@ from helpers.prisms import (
 )
 from occlib.explaining.evidence import PolarEvidence
 from occlib.explaining.hiding import occlusion_state
-from occlib.explaining.objective import gain, objective, put, supported, uncovered, workspace
+from occlib.explaining.objective import ADD, NOBODY, gain, objective, put, put_all, supported, uncovered, workspace
 from occlib.explaining.prisms import BOX, Prism, as_array, plausible, prism_at
 from occlib.explaining.refining import DEFAULT, FINE_STEP_M, ExplainSettings, stands_alone
 from occlib.explaining.reshaping import STILL_WELL_SHAPED, reshaped
@@ -228,7 +228,10 @@ def test_what_the_others_explain_is_dropped_the_weakest_first(seed: int, cameras
     prisms = [*planted, *beside, *crowd(3, 10 + seed)]
     prisms = [prisms[i] for i in rng.permutation(len(prisms))]
     evidence, array = seen_from(cameras, planted), as_array(prisms, "prisms")
-    count = _without_needless(workspace(evidence), array, len(prisms), DEFAULT)
+    work = workspace(evidence)
+    cover = uncovered(work)
+    put_all(work, cover, array, len(prisms), NOBODY, 0.0, ADD)
+    count = _without_needless(work, cover, array, len(prisms), DEFAULT)
     left = [prism_at(array, i) for i in range(count)]
     assert left == needed(evidence, prisms)
     assert 2 <= count < len(prisms)
