@@ -6,7 +6,8 @@ from occlib.explaining.evidence import PolarEvidence, PolarView, PolarWarp
 from occlib.explaining.explainer import Explainer, Explaining, ExplainingFinder, footprints, standing_places
 from occlib.explaining.feet import standing_points
 from occlib.explaining.hiding import occlusion_state
-from occlib.explaining.prisms import BOX, Prism, outline_points, parts, plausible, silhouette
+from occlib.explaining.prisms import BOX, Prism, outline_points, parts, plausible
+from occlib.explaining.silhouettes import silhouette
 from occlib.explaining.refining import DEFAULT, ExplainSettings
 from occlib.explaining.search import Explanation, explain
 

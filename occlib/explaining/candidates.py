@@ -9,7 +9,8 @@ import numpy as np
 from occlib.base.kernels import compiled
 from occlib.explaining.evidence import view_at
 from occlib.explaining.objective import FULL, weigh_column
-from occlib.explaining.prisms import FIELDS, PERSON_M, cylinder, edges, foot, plausible_round, run_between, span_of
+from occlib.explaining.prisms import FIELDS, PERSON_M, cylinder, plausible_round
+from occlib.explaining.silhouettes import edges, foot, run_between, span_of
 
 RADII = np.array([0.06, 0.085, 0.12, 0.16, 0.21, 0.28, 0.36])
 """Radii tried at first, in m, each a third larger than the one before; the best are then refined freely."""

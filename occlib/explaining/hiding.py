@@ -11,7 +11,8 @@ import numpy.typing as npt
 from occlib.base.arrays import FloatArray
 from occlib.base.kernels import compiled
 from occlib.explaining.evidence import PolarEvidence, view_at
-from occlib.explaining.prisms import Prism, as_array, prism_at, silhouette
+from occlib.explaining.prisms import Prism, as_array, prism_at
+from occlib.explaining.silhouettes import silhouette
 
 
 @compiled

@@ -11,7 +11,8 @@ from occlib.base.arrays import FloatArray
 from occlib.base.kernels import compiled
 from occlib.explaining.evidence import PolarEvidence, view_at
 from occlib.explaining.objective import mirrored, workspace
-from occlib.explaining.prisms import WHOLE, Prism, as_array, outline_edges, prism_at, run_of, span_of
+from occlib.explaining.prisms import Prism, as_array, prism_at
+from occlib.explaining.silhouettes import WHOLE, outline_edges, run_of, span_of
 
 LEAST_SAMPLES = 30
 """A mirror image of fewer samples, clear of other objects, says nothing."""

@@ -6,7 +6,7 @@ Summed over the samples of all polar views, a set of prisms is worth
 
 where ``w`` > 0 is evidence of foreground and ``w`` < 0 of background, and a sample that several prisms cover counts
 once. Foreground that goes on in the rim below a base or above a top is subtracted
-(:data:`occlib.explaining.prisms.RIM_M`). Of a person, columns in which the head or the legs show no foreground are
+(:data:`occlib.explaining.silhouettes.RIM_M`). Of a person, columns in which the head or the legs show no foreground are
 not covered there. But for these two terms it is, up to scale, the log-likelihood of a probabilistic occupancy map
 (Fleuret et al. 2008, doi:10.1109/TPAMI.2007.1174).
 
@@ -24,18 +24,8 @@ import numpy as np
 
 from occlib.base.kernels import compiled
 from occlib.explaining.evidence import PolarEvidence, view_at
-from occlib.explaining.prisms import (
-    LEGS,
-    WHOLE,
-    cylinder,
-    is_body,
-    is_person,
-    larger,
-    outline_edges,
-    prism_at,
-    run_of,
-    span_of,
-)
+from occlib.explaining.prisms import cylinder, is_body, is_person, larger, prism_at
+from occlib.explaining.silhouettes import LEGS, WHOLE, outline_edges, run_of, span_of
 
 FULL = 255.0
 """Weight of a sample that is surely foreground."""

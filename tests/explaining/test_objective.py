@@ -50,20 +50,8 @@ from occlib.explaining.objective import (
     uncovered,
     workspace,
 )
-from occlib.explaining.prisms import (
-    BOX,
-    CHIN,
-    HEAD,
-    LEGS,
-    PERSON_M,
-    ROUND,
-    Prism,
-    as_array,
-    is_body,
-    larger,
-    run_of,
-    span_of,
-)
+from occlib.explaining.prisms import BOX, PERSON_M, ROUND, Prism, as_array, is_body, larger
+from occlib.explaining.silhouettes import CHIN, HEAD, LEGS, run_of, span_of
 
 MARGINS = st.sampled_from([0.0, 0.05, 0.2])
 GLOSSES = st.lists(st.sampled_from([0.0, 0.3, 0.8, 1.0]), min_size=3, max_size=3)

@@ -30,9 +30,7 @@ from occlib.explaining.prisms import (
     BOX,
     FIELDS,
     OUTLINES,
-    RIM_M,
     ROUND,
-    WHOLE,
     Prism,
     as_array,
     beyond_outline_m,
@@ -41,16 +39,14 @@ from occlib.explaining.prisms import (
     is_person,
     is_table,
     larger,
-    outline_edges,
     outline_points,
     parts,
     plausible,
     prism_at,
     reach,
-    run_of,
-    span_of,
     upper_part,
 )
+from occlib.explaining.silhouettes import RIM_M, WHOLE, outline_edges, run_of, span_of
 
 
 def assert_same_silhouettes(at: Watch, prism: Prism, rims: int = 1) -> None:

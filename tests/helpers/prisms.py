@@ -14,7 +14,8 @@ from hypothesis import strategies as st
 
 from occlib.explaining.evidence import PolarEvidence, PolarView, PolarWarp
 from occlib.explaining.objective import Gain, gain, workspace
-from occlib.explaining.prisms import BOX, LEGS, OUTLINES, Prism, plausible, silhouette
+from occlib.explaining.prisms import BOX, OUTLINES, Prism, plausible
+from occlib.explaining.silhouettes import LEGS, silhouette
 from occlib.lab.scenes import load_scene
 
 Array = np.ndarray[Any, Any]
